@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.runfile.recording import Recording, Truth
+from daq.runfile.recording import Recording
+from daq.runfile.run_data import Truth
 from processing.methods import registry
 from processing.record import series
 from processing.record.motion import Motion

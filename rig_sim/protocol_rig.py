@@ -48,14 +48,12 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         self.is_open = True
 
     def close(self) -> None:
-        """Release the rig; a waiting read returns what it has."""
         with self._changed:
             self.is_open = False
             self._changed.notify_all()
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that a read would return at once."""
         with self._changed:
             self._fill(self._require_board())
             return len(self._buffer)
@@ -91,7 +89,6 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         """Nothing waits to be sent: a write has arrived when it returns."""
 
     def reset_input_buffer(self) -> None:
-        """Discard what was not read."""
         with self._changed:
             self._require_board()
             self._buffer.clear()

@@ -129,6 +129,11 @@ def read_stated(value: Stated | None, key: str) -> Measured | None:
     return check_measured(key, measurement.value, measurement.sd, key)
 
 
+def read_all_stated(**values: Stated | None) -> dict[str, Measured]:
+    """Return those of a rig's quantities that are not None, each by `read_stated`."""
+    return {key: measurement for key, value in values.items() if (measurement := read_stated(value, key)) is not None}
+
+
 def in_si(value: Stated, dimension: str, key: str) -> Measured:
     """Return a quantity of any dimension from Python, as `read_stated` does; ``key`` is its name."""
     if isinstance(value, Measured):

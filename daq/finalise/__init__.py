@@ -1,1 +1,1 @@
-"""From a journal to a run: one time axis, unwrapped counts, clocks, events, quality."""
+"""From a journal to a run file: columns, events, quality."""

@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.finalise.integrity import CheckedCounts, SegmentReason
-from daq.finalise.timeline import Piece, Samples
 from daq.protocols import blocks
 from daq.runfile import journal
-from daq.wire.decode import Stream
+from daq.stream.integrity import CheckedCounts, SegmentReason
+from daq.stream.timeline import Frames, Piece, Samples
 from stickslip.compute.arrays import Array, Integers
 
 COUNTER_BITS = 32  # the widest: the source has no counter that rolls over
@@ -64,14 +63,14 @@ def read_pieces(recorded: journal.Journal) -> Iterator[BlockPiece]:
 
 
 def _build_piece(time: Array, index: Integers, stamp: Integers, number: int, *, damaged: bool) -> Piece:
-    n, zero = len(time), np.zeros(len(time), np.int64)
+    zero = np.zeros(len(time), np.int64)
     samples = Samples(
         time=time,
         part=zero,
         begun_by=("reopened",),
         index=index,
         ticks=zero,
-        frame=np.full(n, number),
+        frame=np.full(len(time), number),
         stamp_ns=stamp,
         up=zero.astype(np.uint32),
         down=zero.astype(np.uint32),
@@ -79,46 +78,23 @@ def _build_piece(time: Array, index: Integers, stamp: Integers, number: int, *, 
         illegal=zero.astype(np.uint16),
         belt=None,
         edge=None,
+        place=index,
     )
-    frame = np.zeros(1, np.int64)
-    stream = Stream(
-        first=frame,
-        n=np.array([n]),
-        seq=frame,
-        ticks=frame,
-        illegal=frame,
-        stamp_ns=stamp[-1:],
-        dt=samples.illegal,
-        up=samples.up,
-        down=samples.down,
-        status=samples.status,
-        ident=None,
-        idents=zero[:0],
-        crc_frame=np.zeros(int(damaged), np.int64),
-        crc_errors=int(damaged),
-        discarded_bytes=0,
-        length=frame,
-    )
-    return Piece(samples, stream, number, index)
+    return Piece(samples, Frames(number, length=np.zeros(1, np.int64), crc_frame=np.zeros(int(damaged), np.int64)))
 
 
 def _build_counts(values: Array | Integers, lost: Integers, rate: float, *, begins: bool) -> CheckedCounts:
-    n, seconds = len(values), np.zeros(int(begins and len(values) > 0))
-    starts = np.zeros(len(seconds), np.int64)
+    n, starts = len(values), np.zeros(int(begins and len(values) > 0), np.int64)
     reopened: SegmentReason = "reopened"
-    reasons = (reopened,) * len(starts)
     return CheckedCounts(
         count=values.astype(np.int64) if values.dtype.kind == "i" else np.zeros(n, np.int64),
         segment=np.zeros(n, np.uint16),
         flags=np.zeros(n, np.uint16),
         lost=lost,
-        illegal=0,
         peak_count_rate=rate,
-        reasons=reasons,
+        reasons=(reopened,) * len(starts),
         starts=starts,
-        gap_s=seconds,
-        leap_s=seconds,
-        paused=starts[:0],
-        paused_s=seconds[:0],
+        gap_s=np.zeros(len(starts)),
+        leap_s=np.zeros(len(starts)),
         source=starts,
     )

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.connections import TICK_NS
-from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Samples, TruthRows, sample_keys, split_parts
 from daq.runfile import belt_counter
 from daq.runfile.belt_counter import BeltCount
-from daq.runfile.recording import Raw, Truth
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Raw, Truth
 from daq.runfile.spill import Column, Shelf, Spill
+from daq.stream.connections import TICK_NS
+from daq.stream.integrity import CheckedCounts
+from daq.stream.timeline import Samples, TruthRows, sample_keys, split_parts
 from daq.wire import frames
 
 
@@ -24,11 +24,9 @@ class RunColumns:
     idents: The identifications that it was sent under.
     truth: The exact motion as sent.
     spill: Storage of the columns.
-    first_ns: Host's stamp of the first sample.
     """
 
     def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], truth: Shelf[TruthRows], spill: Spill) -> None:
-        self.first_ns = 0
         self._rig, self._spill = rig, spill
         ticks: list[int] = []
         bits: list[int] = []
@@ -53,11 +51,8 @@ class RunColumns:
     def take(self, samples: Samples, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
         if not len(samples):
             return
-        if not self._samples:
-            self.first_ns = int(samples.stamp_ns[0])
         sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
-        source = np.zeros(len(samples), dtype=np.int64) if samples.source is None else samples.source
-        tick_ns, bits = self._ticks[source], self._bits[source]
+        tick_ns, bits = self._ticks[samples.source], self._bits[samples.source]
         microseconds = sent * tick_ns // 1000
         self._append("time", samples.time)
         self._append("position", position)
@@ -119,8 +114,7 @@ class RunColumns:
         shift = np.zeros(len(samples))
         for part, span in split_parts(samples):
             if part != self._part:
-                source = 0 if samples.source is None else int(samples.source[span.start])
-                device_s = samples.ticks[span.start] * int(self._ticks[source]) / 1e9
+                device_s = samples.ticks[span.start] * int(self._ticks[samples.source[span.start]]) / 1e9
                 self._part, self._shift_s = part, float(samples.time[span.start] - device_s)
             shift[span] = self._shift_s
         time, x, v, force = rows[row].T

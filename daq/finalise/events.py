@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Piece
-from daq.runfile.recording import EVENTS
+from daq.runfile.run_data import EVENTS
+from daq.stream.integrity import CheckedCounts
+from daq.stream.timeline import Piece
 from daq.wire import counters
 from daq.wire import frames as wire
 from stickslip.compute.arrays import runs
@@ -41,7 +41,7 @@ class RunEvents:
         self._samples = 0
 
     def take(self, piece: Piece, checked: CheckedCounts) -> None:
-        samples, stream = piece.samples, piece.stream
+        samples, frames = piece
         segments = zip(
             checked.starts.tolist(), checked.reasons, checked.gap_s.tolist(), checked.leap_s.tolist(), strict=True
         )
@@ -61,8 +61,8 @@ class RunEvents:
                 if stretches and stretches[-1][1] == begin:
                     begin = stretches.pop()[0]
                 stretches.append((begin, self._samples + end))
-        self._frames += [(piece.frames + int(frame), "crc", "") for frame in stream.crc_frame]
-        self._frames += [(piece.frames + frame, "notice", text) for frame, text in stream.notices]
+        self._frames += [(frames.first + int(frame), "crc", "") for frame in frames.crc_frame]
+        self._frames += [(frames.first + frame, "notice", text) for frame, text in frames.notices]
         if not len(samples):
             return
         self._frames.sort()

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Piece
 from daq.runfile import journal
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.stream.integrity import CheckedCounts
+from daq.stream.timeline import Piece
 from daq.wire import counters, frames
-from daq.wire.decode import Stream
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 NOT_IN_JSON = ("travel", "unit", "port_lost")
@@ -155,13 +154,25 @@ class DataTotals:
     travel: tuple[float, float] = (np.inf, -np.inf)
     # sample periods from the start of the run to the first and to the last sample
     places: tuple[int, int] | None = None
+    first_ns: int = 0  # host's stamp of the first sample
     last_s: float = 0.0  # time of the last sample
+    crc_errors: int = 0
+    unknown: int = 0  # frames of an unknown kind or length
+    notices: list[str] = field(default_factory=list)  # what the board reported
+    repeated: int = 0  # samples left out because their time did not advance
+    peak_count_rate: float = 0.0  # `CheckedCounts`
 
     def take(self, piece: Piece, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
         """Add the next samples, and their positions."""
         samples, lost = piece.samples, checked.lost
+        self.crc_errors += len(piece.frames.crc_frame)
+        self.unknown += piece.frames.unknown
+        self.peak_count_rate = max(self.peak_count_rate, checked.peak_count_rate)
+        self.notices += [text for _, text in piece.frames.notices]
         if not len(samples):
             return
+        if not self.samples:
+            self.first_ns = int(samples.stamp_ns[0])
         longest = int(np.argmax(lost))
         if lost[longest] > self.longest_gap:
             self.longest_gap = int(lost[longest])
@@ -185,20 +196,18 @@ class DataTotals:
                 self.source.append(source)
         self.reasons += checked.reasons
         self.travel = min(self.travel[0], float(position.min())), max(self.travel[1], float(position.max()))
-        self.places = (int(piece.place[0]) if self.places is None else self.places[0]), int(piece.place[-1])
+        self.places = (int(samples.place[0]) if self.places is None else self.places[0]), int(samples.place[-1])
         self.last_s = float(samples.time[-1])
         self.samples += len(samples)
 
 
-def assess_run(
-    recorded: journal.Journal, totals: DataTotals, peak_count_rate: float, streams: Sequence[Stream], run: Recording
-) -> RecordingQuality:
+def assess_run(recorded: journal.Journal, totals: DataTotals, run: Recording) -> RecordingQuality:
     """Return the findings of a run, without the warnings about the data (`find_warnings`)."""
     first, last = totals.places or (0, 0)
     return RecordingQuality(
         samples=totals.samples,
         lost=totals.lost,
-        crc_errors=sum(stream.crc_errors for stream in streams),
+        crc_errors=totals.crc_errors,
         illegal=totals.illegal,
         phase_errors=totals.phase_errors,
         segments=len(totals.reasons),
@@ -207,7 +216,7 @@ def assess_run(
         clock_ppm=run.clock_ppm,
         clock_ppm_error=run.clock_ppm_error,
         duration_s=totals.last_s + 1 / run.rate_hz,
-        peak_edge_rate_hz=peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
+        peak_edge_rate_hz=totals.peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
         both_moved=totals.both_moved,
         dropped_bytes=sum(
             int.from_bytes(record.data, "little")
@@ -227,12 +236,10 @@ def find_warnings(
     quality: RecordingQuality,
     recorded: journal.Journal,
     totals: DataTotals,
-    repeated: int,
-    streams: Sequence[Stream],
     rig: Rig,
 ) -> list[str]:
     """Return one sentence for each fault of the data, with its number."""
-    sentences = [*_find_outages(recorded.records), *_find_data_warnings(quality, totals, repeated, rig, streams)]
+    sentences = [*_find_outages(recorded.records), *_find_data_warnings(quality, totals, rig)]
     sentences += _explain_shortfall(quality, totals)
     if recorded.lost_tail:
         sentences.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
@@ -313,29 +320,22 @@ def _describe_outages(outages: Sequence[tuple[int, int, str]]) -> list[str]:
     return [f"the port was lost and reopened {len(outages)} times: {total_s:.3g} s are missing in all, {longest}"]
 
 
-def _list_times(times_s: Sequence[float]) -> str:
-    """Return the first few of some times as text."""
-    shown = [f"{time_s:.3f} s" for time_s in times_s[:5]]
-    return ", ".join(shown) + (f" and {len(times_s) - 5} times more" if len(times_s) > 5 else "")
+def _list_first(texts: Sequence[str]) -> str:
+    """Return the first five texts, and how many more there are."""
+    return ", ".join(texts[:5]) + (f" and {len(texts) - 5} times more" if len(texts) > 5 else "")
 
 
-def _list_amounts(preposition: str, leaps: Sequence[tuple[float, float]]) -> str:
-    """Return the first few of some times and amounts, s, as text."""
-    shown = [f"{preposition} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in leaps[:5]]
-    return ", ".join(shown) + (f" and {len(leaps) - 5} times more" if len(leaps) > 5 else "")
-
-
-def _find_data_warnings(
-    quality: RecordingQuality, totals: DataTotals, repeated: int, rig: Rig, streams: Sequence[Stream]
-) -> list[str]:
+def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig) -> list[str]:
     """Return one sentence for each kind of damage in the data, with its number."""
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
-    unknown = sum(stream.unknown for stream in streams)
     reasons = "; ".join(sorted({REASONS.get(why, why) for why in totals.reasons[1:]}))
+    jumps = _list_first([f"{time_s:.3f} s" for time_s in totals.jumped_s])
+    leaps = _list_first([f"by {leap_s:.3g} s at {time_s:.3f} s" for time_s, leap_s in totals.leapt])
+    pauses = _list_first([f"for {pause_s:.3g} s at {time_s:.3f} s" for time_s, pause_s in totals.paused])
     sentences = [
         (quality.lost, f"{quality.lost} samples were lost in {totals.gaps} places"),
         (quality.crc_errors, f"{quality.crc_errors} damaged frames were thrown away"),
-        (unknown, f"{unknown} frames were of an unknown kind or length"),
+        (totals.unknown, f"{totals.unknown} frames were of an unknown kind or length"),
         (
             quality.illegal,
             f"{quality.illegal} illegal transitions: the encoder was too fast for its decoder; the count may be off by "
@@ -343,7 +343,7 @@ def _find_data_warnings(
         ),
         (quality.phase_errors, f"{quality.phase_errors} samples disagree with the levels sent beside them"),
         (totals.overruns, f"the board missed its own pace at {totals.overruns} samples"),
-        (repeated, f"{repeated} samples came twice or late and were left out"),
+        (totals.repeated, f"{totals.repeated} samples came twice or late and were left out"),
         (
             quality.retimed,
             f"{quality.retimed} samples had times off the course of their neighbours; these times were interpolated",
@@ -355,20 +355,20 @@ def _find_data_warnings(
         ),
         (
             len(totals.jumped_s),
-            f"the board's sequence numbers jumped against its clock, {_list_times(totals.jumped_s)} after the first "
+            f"the board's sequence numbers jumped against its clock, {jumps} after the first "
             "sample: it was reset, or sent wrong numbers; each time a new segment begins",
         ),
         (
             len(totals.leapt),
-            f"the board's clock leapt, {_list_amounts('by', totals.leapt)}, against its sequence numbers and this "
+            f"the board's clock leapt, {leaps}, against its sequence numbers and this "
             "machine's clock; each time a new segment begins, timed by the sequence",
         ),
         (
             len(totals.paused),
-            f"the board paused, {_list_amounts('for', totals.paused)}, and its sequence numbers do not show it",
+            f"the board paused, {pauses}, and its sequence numbers do not show it",
         ),
     ]
-    sentences += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]
+    sentences += [(1, f"the board stopped: {text}") for text in totals.notices]
     half = 2 ** (rig.counter_bits - 1)
     steps = round(quality.peak_edge_rate_hz / edges / quality.rate_hz)
     sentences.append(

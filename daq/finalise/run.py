@@ -5,7 +5,7 @@ file byte for byte, except for the name of the command.
 """
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -13,19 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from daq.finalise import blocks, claim, connections, quality
-from daq.finalise.clock_points import PartClock
+from daq.finalise import blocks, claim, quality
 from daq.finalise.columns import RunColumns
 from daq.finalise.events import RunEvents
-from daq.finalise.integrity import CountCheck
 from daq.finalise.quality import DataTotals, RecordingQuality
-from daq.finalise.timeline import Samples, Timeline, split_parts
 from daq.protocols import blocks as block_records
 from daq.runfile import journal, journal_header, store
-from daq.runfile.recording import EVENT_NAMES, Recording, positions
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import EVENT_NAMES, positions
 from daq.runfile.spill import Column, Spill
-from daq.wire import decode, frames
+from daq.stream import connections
+from daq.stream.clock import PartClock
+from daq.stream.integrity import CountCheck, CountSurvey
+from daq.stream.timeline import StoredPieces, Timeline
+from daq.wire import frames
 from daq.wire.roll_over import survey_roll_over
 from stickslip import toml
 from stickslip.errors import DataError, InputError
@@ -91,7 +93,7 @@ def run_data(
     spill = Spill(output)
     parts = (_gather_blocks if header["protocol"] == block_records.NAME else _gather_board)(recorded, markers, spill)
     totals, rig, clocks = parts.totals, parts.rig, parts.clock.compare()
-    started, ended = _find_instants(recorded.path, header, parts.first_ns, totals.last_s)
+    started, ended = _find_instants(recorded.path, header, totals.first_ns, totals.last_s)
     sorted_events = parts.events.sort()
     run = Recording(
         title=header["title"],
@@ -115,9 +117,8 @@ def run_data(
         provenance=header["provenance"] | {"finished_by": finished_by},
         **parts.columns,
     )
-    streams = parts.streams
-    findings = quality.assess_run(recorded, totals, parts.peak_count_rate, streams, run)
-    warnings = quality.find_warnings(findings, recorded, totals, parts.repeated, streams, rig)
+    findings = quality.assess_run(recorded, totals, run)
+    warnings = quality.find_warnings(findings, recorded, totals, rig)
     return run, replace(findings, warnings=(*header["warnings"], *parts.warnings, *warnings))
 
 
@@ -131,11 +132,7 @@ class _RunParts:
     totals: DataTotals  # counts, events, and the clocks
     events: RunEvents
     clock: PartClock
-    streams: list[decode.Stream]  # as sent, without their arrays
     warnings: list[str]  # about the calibration
-    first_ns: int  # host's stamp of the first sample
-    peak_count_rate: float  # see `CountCheck`, `Timeline`
-    repeated: int = 0
 
 
 def _gather_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spill: Spill) -> _RunParts:
@@ -147,56 +144,47 @@ def _gather_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]]
     columns = {name: Column(spill) for name in ("time", "position", "segment", *(["count"] if counted else []))}
     totals, events = DataTotals(), RunEvents(markers, float(header["rate_hz"]))
     clock = PartClock(0, None, by_bytes=False, spill=spill)
-    damaged: list[decode.Stream] = []
-    first_ns, peak_rate = 0, 0.0
     for piece, checked, values in blocks.read_pieces(recorded):
         position = positions(checked.count, rig) if counted else values.astype(np.float64)
-        if len(values) and not totals.samples:
-            first_ns = int(piece.samples.stamp_ns[0])
-        values_of = {
-            "time": piece.samples.time,
-            "position": position,
-            "segment": checked.segment,
-            "count": checked.count,
-        }
+        values_of = {"time": piece.samples.time, "position": position, **vars(checked)}
         for name, column in columns.items():
             column.append(values_of[name])
         totals.take(piece, checked, position)
         events.take(piece, checked)
         clock.take(piece)
-        peak_rate = max(peak_rate, checked.peak_count_rate)
-        damaged += [piece.stream] if piece.stream.crc_errors else []
     if not totals.samples:
         raise _no_samples(recorded)
     warnings = [WITHOUT_PITCH] if counted and rig.metres_per_count is None else []
     all_columns = {name: column.whole() for name, column in columns.items()}
-    return _RunParts(rig, config, all_columns, totals, events, clock, damaged, warnings, first_ns, peak_rate)
+    return _RunParts(rig, config, all_columns, totals, events, clock, warnings)
 
 
 def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]], spill: Spill) -> _RunParts:
     """Gather the samples of a board's bytes."""
     header = recorded.header
     rate_hz = float(header["rate_hz"])
-    shelves = connections.decode_connections(recorded, spill)
-    streams = [stream for shelf in shelves for stream in shelf.labels]
-    ident = connections.first_ident(streams)
-    timeline = Timeline(shelves, rate_hz, connections.TICK_NS, header["samples"], spill)
-    config, rig, warnings = read_calibration(recorded.records.of_kind(journal.CONFIGURATION), streams, ident)
-    rig = connections.unify_calibration(rig, timeline.idents)
-    sent_calibrations = [text for stream in streams for _, text in stream.configs]
-    warnings += connections.find_contradictions(timeline.idents, sent_calibrations, rig)
-    count_check = CountCheck(timeline.idents, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
-    pieces = _CountedPieces(timeline)
-    count_check.survey(pieces)
-    if not pieces.lengths:
-        raise _no_samples(recorded)
-    clock = PartClock(max(pieces.lengths, key=pieces.lengths.__getitem__), header["baud"], timeline.times_bytes, spill)
-    totals, events, columns = (
-        DataTotals(),
-        RunEvents(markers, rate_hz),
-        RunColumns(rig, timeline.idents, timeline.truth, spill),
+    configurations = list(recorded.records.of_kind(journal.CONFIGURATION))
+    starts_at_phase = header["protocol"] == "frames"
+    timeline = Timeline(
+        connections.decode_connections(recorded), rate_hz, connections.TICK_NS, header["samples"], spill
     )
+    _, rig, _ = read_calibration(configurations, (), None)
+    survey = CountSurvey(timeline.idents, rig.counter_bits, rate_hz, starts_at_phase=starts_at_phase)
+    pieces = StoredPieces(spill)
     for piece in timeline:
+        survey.take(piece.samples)
+        pieces.append(piece)
+    if not timeline.lengths:
+        raise _no_samples(recorded)
+    config, rig, warnings = read_calibration(configurations, timeline.configs, timeline.ident)
+    rig = connections.unify_calibration(rig, timeline.idents)
+    warnings += connections.find_contradictions(timeline.idents, timeline.configs, rig)
+    count_check = CountCheck(survey, rig)
+    longest = max(timeline.lengths, key=timeline.lengths.__getitem__)
+    clock = PartClock(longest, header["baud"], timeline.times_bytes, spill)
+    totals, events = DataTotals(repeated=timeline.repeated), RunEvents(markers, rate_hz)
+    columns = RunColumns(rig, timeline.idents, timeline.truth, spill)
+    for piece in pieces.read(timeline.missing):
         checked = count_check.take(piece.samples)
         position = positions(checked.count, rig)
         columns.take(piece.samples, checked, position)
@@ -222,37 +210,7 @@ def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]],
         "truth": columns.build_truth(header["port"]),
         "sent_as": connections.build_sent_as(timeline.idents, rig, totals.segment, totals.source),
     }
-    return _RunParts(
-        rig,
-        config,
-        all_columns,
-        totals,
-        events,
-        clock,
-        streams,
-        warnings,
-        columns.first_ns,
-        count_check.peak_count_rate,
-        timeline.repeated,
-    )
-
-
-class _CountedPieces:
-    """The samples of a timeline's pieces, each time it is iterated over.
-
-    lengths: Samples in each part of the run; after the last piece.
-    """
-
-    def __init__(self, timeline: Timeline) -> None:
-        self.lengths: dict[int, int] = {}
-        self._line = timeline
-
-    def __iter__(self) -> Iterator[Samples]:
-        self.lengths = {}
-        for piece in self._line:
-            for part, span in split_parts(piece.samples):
-                self.lengths[part] = self.lengths.get(part, 0) + span.stop - span.start
-            yield piece.samples
+    return _RunParts(rig, config, all_columns, totals, events, clock, warnings)
 
 
 def _find_instants(path: Path, header: dict[str, Any], first_ns: int, span_s: float) -> tuple[datetime, datetime]:
@@ -275,12 +233,14 @@ def _no_samples(recorded: journal.Journal) -> DataError:
 
 
 def read_calibration(
-    configurations: Iterable[journal.Record], streams: Sequence[decode.Stream], ident: frames.Ident | None
+    configurations: Iterable[journal.Record], sent: Sequence[str], ident: frames.Ident | None
 ) -> tuple[str, Rig, list[str]]:
-    """Return the configuration's text, the rig it describes, and warnings; the decoder is the one the board reports."""
+    """Return the configuration's text, the rig it describes, and warnings; the decoder is the one the board reports.
+
+    The first of the stored ``configurations`` goes before those that boards have ``sent``.
+    """
     stored = [storable(record.data.decode(errors="replace")) for record in configurations]
-    sent = next((stream.configs for stream in streams if stream.configs), ())
-    config = (*stored, *(text for _, text in sent), "")[0]
+    config = (*stored, *sent, "")[0]
     warnings = []
     rig = Rig()
     try:

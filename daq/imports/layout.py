@@ -146,15 +146,14 @@ def find_format(texts: Sequence[str], stated: str | None) -> tuple[str, str]:
     return best
 
 
-def _is_data(cell: str, decimal: str) -> bool:
-    return read_number(cell, decimal) is not None or read_clock(cell) is not None or is_timecode(cell)
-
-
 def find_start(texts: Sequence[str], delimiter: str, decimal: str, width: int) -> int:
     """Return the index of the first line of data in a table of ``width`` columns; the number of lines without any."""
 
     def mark_data(index: int) -> tuple[bool, ...]:
-        return tuple(_is_data(cell, decimal) for cell in split_cells(texts[index], delimiter))
+        return tuple(
+            read_number(cell, decimal) is not None or read_clock(cell) is not None or is_timecode(cell)
+            for cell in split_cells(texts[index], delimiter)
+        )
 
     first = next((index for index in range(len(texts)) if any(mark_data(index))), len(texts))
     if first == len(texts):

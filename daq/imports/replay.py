@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from daq.imports import capture as decode
 from daq.imports import sigrok
 from daq.runfile import belt_counter, provenance, store
-from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, count_lost, positions
+from daq.runfile.recording import Recording
 from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import EVENTS, LONGEST_S, Raw, SentAs, count_lost, positions
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
 from stickslip.compute.arrays import runs

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.imports import layout, source
-from daq.imports.source import Parsed, Source
+from daq.imports.source import Source
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError, in_python
@@ -84,30 +84,6 @@ class Table:
         value = layout.read_number(cell, self.decimal)
         return None if value is None or value - value != 0 else value
 
-    @classmethod
-    def of_columns(cls, path: Path, parsed: Parsed, kind: str) -> "Table":
-        """Return the table of the columns that have the usual length, with their waveforms' times before them."""
-        length = source.find_usual_length(parsed.columns)
-        columns = [column for column in parsed.columns if column.values.size == length]
-        clocks = list(dict.fromkeys(column.clock for column in columns if column.clock is not None))
-        names = ["Time (s)"] if len(clocks) == 1 else []
-        for clock in clocks if len(clocks) > 1 else ():
-            first = next(column.name for column in columns if column.clock == clock)
-            names.append(f"Time of {first.split(' (')[0]} (s)")
-        cells = [list(map(repr, (begin + step * np.arange(length)).tolist())) for begin, step in clocks]
-        cells += [list(map(repr, column.values.tolist())) for column in columns]
-        names += [column.name for column in columns]
-        rows: list[Sequence[str]] = list(zip(*cells, strict=True))
-        table = cls(path, tuple(names), rows, list(range(1, length + 1)), len(names), "", ".", 0, kind, parsed.recorded)
-        clock_of = (None if column.clock is None else clocks.index(column.clock) for column in columns)
-        return replace(
-            table,
-            sha256=parsed.sha256,
-            modified_s=parsed.modified_s,
-            clocks=(*[None] * len(clocks), *clock_of),
-            left_out=source.shorten(column.name for column in parsed.columns if column.values.size != length),
-        )
-
     def segment(self, number: int | None) -> "Table":
         """Return the measurement of a number from 1, or all as one record (0); None: the only one."""
         count = len(self.starts)
@@ -163,7 +139,8 @@ class Table:
             values.append(np.array(numbers, np.float64).reshape(-1, len(readers)).T)
         if bad and not skip:
             do, python = _advise(self, bad, kept)
-            raise InputError(_describe_bad_lines(bad), self.locate(bad[0].line, first), do, python=python)
+            several = f"; {len(bad)} lines cannot be read: {list_lines(skipped.line for skipped in bad)}"
+            raise InputError(bad[0].what + several * (len(bad) > 1), self.locate(bad[0].line, first), do, python=python)
         good = self
         if bad:
             good = replace(self, rows=[self.rows[index] for index in kept], lines=[self.lines[index] for index in kept])
@@ -182,11 +159,6 @@ class Table:
 
 def list_lines(lines: Iterable[int]) -> str:
     return source.shorten(map(str, lines), LISTED)
-
-
-def _describe_bad_lines(bad: Sequence[Skipped]) -> str:
-    several = f"; {len(bad)} lines cannot be read: {list_lines(skipped.line for skipped in bad)}"
-    return bad[0].what + (several if len(bad) > 1 else "")
 
 
 def _advise(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:

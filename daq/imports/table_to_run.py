@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.imports import labview, layout, plausible, source, table
+from daq.imports import layout, plausible, source, table
 from daq.imports.columns import (
     check_clock,
     find_by_name,
@@ -26,13 +26,15 @@ from daq.imports.columns import (
     read_belt_unit,
     read_unit,
 )
+from daq.imports.formats import labview
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.runfile import provenance
 from daq.runfile.in_memory import add_belt, measure_rate, read_counts
-from daq.runfile.recording import FASTEST_HZ, LONGEST_S, OF_FILE, Recording, explain_impossible, positions
+from daq.runfile.recording import Recording
 from daq.runfile.rest_position import question_rest_position
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import FASTEST_HZ, LONGEST_S, OF_FILE, explain_impossible, positions
 from daq.wire.roll_over import find_roll_over, unroll
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
@@ -334,11 +336,11 @@ def _build_rig(options: ImportOptions, stated: Mapping[str, Measured | int]) -> 
 def _read_cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:
     kind = path.suffix.lower()
     if kind == ".xlsx":
-        from daq.imports import workbook
+        from daq.imports.formats import workbook
 
         return workbook.read(path, options.sheet, options.preamble, progress)
     if kind in (".mat", ".tdms"):
-        from daq.imports import matfile, tdms
+        from daq.imports.formats import matfile, tdms
 
         name, module = ("a MATLAB file", matfile) if kind == ".mat" else ("a TDMS file", tdms)
         _check_plain(name, path, options)

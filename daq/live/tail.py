@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 
 from daq import protocols
-from daq.finalise import connections, timeline
-from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import read_calibration
 from daq.protocols import blocks
+from daq.protocols.session import decode_whole
 from daq.runfile import journal, journal_header, journal_records
+from daq.runfile.belt_counter import BeltCount
 from daq.runfile.journal import Record
-from daq.runfile.recording import positions
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import positions
+from daq.stream import connections, timeline
+from daq.stream.integrity import CheckedCounts, CountCheck, CountSurvey
 from daq.wire import counters, decode, frames
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, rows
 from stickslip.errors import InputError
 
 # Lines decoded again with the next chunk: a text line needs neighbours on both sides for its time to be judged.
@@ -39,7 +41,7 @@ class NewSamples:
     position: Array
     # (k,) true for the first sample of a segment, which is not connected with the previous one
     fresh: np.typing.NDArray[np.bool_]
-    # (k,) m, of the belt's encoder, from the first sample of each segment; None without one
+    # (k,) m, of the belt's encoder, each segment from its own reading; None without one
     belt: Array | None = None
 
 
@@ -150,48 +152,50 @@ class JournalTail:
         if self._of_blocks:
             return self._unpack_blocks(reads)
         self._reads = [*self._reads, *reads]  # a fork may have the other one
-        stream = self._backend.decode(self._reads, self.header)
-        self._ident = connections.first_ident([stream]) or self._ident
+        stream = decode_whole(self._backend, self._reads, self.header)
+        self._ident = connections.replace_implausible(stream).ident or self._ident
         self._calibrate(stream)
         self._reads = _keep_last_lines(self._reads, self._backend.DELIMITER)
         if not len(stream.n):
             return []
         tick_ns = self._ident.tick_ns if self._ident else 1000
-        samples = timeline.assemble([stream], self._rate_hz, tick_ns)
-        checked = check(
-            samples, self._ident, self.rig, self._rate_hz, starts_at_phase=self.header["protocol"] == "frames"
-        )
-        last_known = self._find_last(samples)
-        new = slice(last_known + 1, None)
-        self._count(stream, samples, checked, last_known)
-        if last_known == len(samples) - 1:
+        (samples, _), *_ = timeline.Timeline([[stream]], self._rate_hz, tick_ns)
+        samples = replace(samples, source=np.zeros(len(samples), np.int64))
+        n_known = self._find_last(samples) + 1
+        known, new = (rows(samples, part) for part in (slice(n_known), slice(n_known, None)))
+        starts_at_phase = self.header["protocol"] == "frames"
+        survey = CountSurvey([self._ident], self.rig.counter_bits, self._rate_hz, starts_at_phase=starts_at_phase)
+        survey.take(samples)
+        # The finaliser also begins a segment after a gap in which the counters may have rolled over, which depends on
+        # the fastest motion of the whole run.
+        check = CountCheck(survey, self.rig, safe_gap_s=np.inf)
+        checked_before, checked = check.take(known), check.take(new)
+        self._count(stream, samples, checked, n_known)
+        if not len(new):
             return []
-        count, fresh = self._unwrap_counts(samples)
-        belt = self._unwrap_belt(samples, fresh)
-        time = samples.time.copy()
-        if last_known >= 0 and self._last is not None:
-            same = samples.part == samples.part[last_known]
-            count[same] += self._last.count - count[last_known]
-            belt[same] += self._last.belt - belt[last_known]
-            time += self._last.time - time[last_known]
+        fresh = np.zeros(len(new), np.bool_)
+        fresh[checked.starts - n_known] = True
+        count, time = checked.count.copy(), new.time.copy()
+        belt = np.zeros(len(samples), np.int64)
+        if samples.belt is not None:
+            begins = np.concatenate((np.diff(known.part, prepend=-1) != 0, fresh))
+            belt = BeltCount().take(samples.belt, begins, np.full(len(samples), self.rig.counter_bits))
+        if n_known and self._last is not None:
+            same = np.cumsum(fresh) == 0
+            count[same] += self._last.count - checked_before.count[-1]
+            belt[n_known:][same] += self._last.belt - belt[n_known - 1]
+            time += self._last.time - known.time[-1]
         else:
             if self._first_stamp is None:
-                self._first_stamp = int(samples.stamp_ns[0])
-            time += (int(samples.stamp_ns[0]) - self._first_stamp) / 1e9
-        ticks, index = (int(column[-1]) for column in (samples.ticks, samples.index))
+                self._first_stamp = int(new.stamp_ns[0])
+            time += (int(new.stamp_ns[0]) - self._first_stamp) / 1e9
+        ticks, index = (int(column[-1]) for column in (new.ticks, new.index))
         self._last = _LastSample(ticks, float(time[-1]), int(count[-1]), index, int(belt[-1]))
         pitch = self.rig.belt_metres_per_count
-        belt_position = None if samples.belt is None or pitch is None else pitch.value * belt[new].astype(np.float64)
-        return [NewSamples(time[new], positions(count[new], self.rig), fresh[new], belt_position)]
-
-    def _unwrap_belt(
-        self, samples: timeline.Samples, fresh: np.typing.NDArray[np.bool_]
-    ) -> np.typing.NDArray[np.int64]:
-        """Return the belt's count without roll-over, (n,), from 0 in each part; 0 if the belt has no encoder."""
-        if samples.belt is None:
-            return np.zeros(len(samples), np.int64)
-        moved = np.concatenate(([0], counters.diff_signed(samples.belt, self.rig.counter_bits)))
-        return counters.running_sum(fresh, moved[1:], np.zeros(len(samples), np.int64))
+        belt_position = (
+            None if samples.belt is None or pitch is None else pitch.value * belt[n_known:].astype(np.float64)
+        )
+        return [NewSamples(time, positions(count, self.rig), fresh, belt_position)]
 
     def _unpack_blocks(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:
         if self._configuration and not self._calibrated:
@@ -218,21 +222,6 @@ class JournalTail:
             pieces.append(NewSamples(time - self._begun_s, position.astype(np.float64), fresh))
         return pieces
 
-    def _unwrap_counts(
-        self, samples: timeline.Samples
-    ) -> tuple[np.typing.NDArray[np.int64], np.typing.NDArray[np.bool_]]:
-        """Return the unwrapped counts, (n,), and which samples begin a part.
-
-        The finaliser also begins a segment after a gap in which the counters may have rolled over, which depends on the
-        fastest motion of the whole run.
-        """
-        count = np.empty(len(samples), np.int64)
-        fresh = np.zeros(len(samples), np.bool_)
-        for _, span in timeline.split_parts(samples):
-            count[span] = counters.net_count(samples.up[span], samples.down[span], self.rig.counter_bits)
-            fresh[span.start] = True
-        return count, fresh
-
     def _find_last(self, samples: timeline.Samples) -> int:
         """Return the index of the last known sample by its device time, -1 if it is not there."""
         if self._last is None:
@@ -243,29 +232,24 @@ class JournalTail:
             matches = np.flatnonzero((after < 0) & (samples.part == 0))
         return int(matches[-1]) if matches.size else -1
 
-    def _count(self, stream: decode.Stream, samples: timeline.Samples, checked: CheckedCounts, last_known: int) -> None:
-        new = slice(last_known + 1, None)
-        damaged = int(np.count_nonzero(stream.crc_frame > (samples.frame[last_known] if last_known >= 0 else -1)))
+    def _count(self, stream: decode.Stream, samples: timeline.Samples, checked: CheckedCounts, n_known: int) -> None:
+        """Add to the totals what was checked after so many known samples."""
+        damaged = int(np.count_nonzero(stream.crc_frame > (samples.frame[n_known - 1] if n_known else -1)))
         self.counts.crc_errors += max(0, damaged - self._trailing_damage)
         self._trailing_damage = int(np.count_nonzero(stream.crc_frame >= len(stream.n)))
-        starts = np.flatnonzero(np.diff(samples.part, prepend=-1))
-        lost = checked.lost.copy()
-        if last_known < 0 and self._last is not None:
-            lost[0] = (samples.index[0] - self._last.index & 0xFFFF) - 1
-        rise = np.zeros(len(samples), np.int64)
-        if self._ident is not None and frames.Capability.ILLEGAL in self._ident.capabilities:
-            rise[1:] = counters.diff_unsigned(samples.illegal, 16)
-            rise[starts] = 0
-        self.counts.samples += len(samples) - last_known - 1
-        self.counts.segments += int(np.count_nonzero(starts > last_known))
-        self.counts.lost += int(lost[new].sum())
-        self.counts.illegal += int(rise[new].sum())
-        self.counts.phase_errors += int(np.count_nonzero(checked.flags[new] & counters.FLAG_PHASE))
+        lost = int(checked.lost.sum())
+        if not n_known and self._last is not None:
+            lost += (int(samples.index[0]) - self._last.index & 0xFFFF) - 1 - int(checked.lost[0])
+        self.counts.samples += len(checked.count)
+        self.counts.segments += len(checked.starts)
+        self.counts.lost += lost
+        self.counts.illegal += checked.illegal
+        self.counts.phase_errors += int(np.count_nonzero(checked.flags & counters.FLAG_PHASE))
 
     def _calibrate(self, stream: decode.Stream) -> None:
         """Read the calibration once: the one given at the start, otherwise the board's."""
         if not self._calibrated and (self._configuration or stream.configs):
-            _, self.rig, _ = read_calibration(self._configuration, [stream], self._ident)
+            _, self.rig, _ = read_calibration(self._configuration, [text for _, text in stream.configs], self._ident)
             self._calibrated = True
         elif not self._calibrated and self._ident is not None:
             self.rig = replace(self.rig, decoder=self._ident.decoder, counter_bits=self._ident.counter_bits)

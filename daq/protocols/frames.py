@@ -30,16 +30,12 @@ def check(request: RecordRequest) -> None:
         check_known(request.decoder, frames.DECODERS, "decoder", "--decoder")
 
 
-def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
+def decode_pieces(
+    reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float
+) -> "Iterator[Stream]":
     from daq.wire import decode
 
-    return decode.decode(reads, header.get("decoder"))
-
-
-def decode_pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-    from daq.wire import decode
-
-    return decode.decode_pieces(reads, sessions.PIECE_BYTES, header.get("decoder"))
+    return decode.decode_pieces(reads, most_bytes, header.get("decoder"))
 
 
 class Frames(Session):

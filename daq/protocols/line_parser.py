@@ -136,6 +136,8 @@ def find_shape(form: Columns, match: re.Match[bytes]) -> LineShape | None:
             if piece is None:
                 return None
             piece_kind = piece.lastindex or 0
+            if "seq" in form.names and piece_kind == _NUMBER and not piece[0].startswith(b"-"):
+                piece_kind = _DIGITS  # a number of a line has no sign
             like, length = (
                 _LIKE[piece_kind]
                 if piece_kind in _LIKE and position < guarded

@@ -10,7 +10,6 @@ period, and a net count is split into its rises and falls, so that everything af
 frames.
 """
 
-import math
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator
@@ -34,6 +33,7 @@ from stickslip.compute import arrays
 BLOCK_BYTES = 1 << 16  # reads that are parsed at once: fewer cost 10 % more CPU time
 # Lines from which they are read together: reads of 10 lines gain, and those with every tenth line damaged do not lose.
 FEWEST_ALIKE = 8
+CLOCK_LINES = 4096  # lines from which a clock is known to be coarse: 4 s at 1 kHz
 
 
 class NoSample(IntFlag):
@@ -250,25 +250,23 @@ def decode_pieces(
     Lines that cannot be true are counted as damaged.  The pieces together equal a single one; a start or damage after a
     piece's last frame belongs to the first frame of the next one.
 
-    ``reads`` are the host's monotonic stamp at the end of each read, ns, and its bytes; unless there is only one piece,
-    they are iterated over repeatedly and must be the same each time.  ``net``: there is only one counter, a signed net
-    count.  ``most_bytes`` is the approximate size of a piece; infinite: one piece.  ``resolution`` is the ticks by
-    which the clock may advance at once, if its times are multiples of that; 0: its times are exact.
+    ``reads`` are the host's monotonic stamp at the end of each read, ns, and its bytes.  ``net``: there is only one
+    counter, a signed net count.  ``most_bytes`` is the approximate size of a piece; infinite: one piece.
+    ``resolution`` is the ticks by which the clock may advance at once, if its times are multiples of that; 0: its times
+    are exact.
     """
     source = _read_pieces(reads, make_reader(), most_bytes)
-    first_piece = next(source)
-    pieces: Iterator[_LinePiece] = chain([first_piece], source)
+    pieces: list[_LinePiece] = []
     if resolution:
-        most = math.inf
-        if not first_piece.last:
-            delimiter = make_reader().delimiter
-            most = sum(data.count(delimiter) for _, data in reads)
-        if _is_finer(pieces, resolution, most):
-            resolution = 0
-        pieces = iter([first_piece]) if first_piece.last else _read_pieces(reads, make_reader(), most_bytes)
+        ticks = np.empty(0, dtype=np.int64)
+        while len(ticks) < CLOCK_LINES and not (pieces and pieces[-1].last):
+            pieces.append(next(source))
+            ticks = np.concatenate((ticks, pieces[-1].lines.ticks))
+        finer = np.count_nonzero(ticks[:CLOCK_LINES] % resolution)
+        resolution = 0 if finer > 0.1 * len(ticks[:CLOCK_LINES]) else resolution
     judge = LineJudge(ident.counter_bits, period_ticks, resolution, ident.tick_ns, net=net)
     discarded = 0  # bytes discarded since the last piece
-    for piece in pieces:
+    for piece in chain(pieces, source):
         lines = judge.feed(piece.lines, piece.last)
         discarded += piece.discarded_bytes
         if len(lines) or piece.last:
@@ -327,17 +325,6 @@ def _read_pieces(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_by
                 parts.clear()
     parts.append(parse_block())
     yield _LinePiece(arrays.joined(parts), notes.damaged, reader.discarded_bytes - discarded, last=True)
-
-
-def _is_finer(pieces: Iterable[_LinePiece], resolution: int, most: float) -> bool:
-    """Return whether more than a tenth of the times, at most so many, are not multiples of a resolution."""
-    finer = lines = 0
-    for piece in pieces:
-        finer += int(np.count_nonzero(piece.lines.ticks % resolution))
-        lines += len(piece.lines)
-        if finer > 0.1 * most:
-            return True
-    return finer > 0.1 * lines
 
 
 def _build_stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_bytes: int) -> Stream:

@@ -15,7 +15,6 @@ Not used: counting modulo N, index and trigger inputs, x2.  There is no checksum
 how damage is detected.  Written from descriptions and other programs; not tested on the device.
 """
 
-import math
 import re
 import time
 from binascii import unhexlify
@@ -66,7 +65,7 @@ def check(request: RecordRequest) -> None:
         raise InputError("records of a QSB have fixed columns", "--columns", "leave it out: it is for text")
 
 
-def make_ident(decoder: str | None, interval: int = 1) -> frames.Ident:
+def make_ident(decoder: str | None) -> frames.Ident:
     """Return the identification common to every QSB."""
     return frames.Ident(
         firmware=(0, 0, 0),
@@ -110,15 +109,7 @@ def make_reader() -> LineReader:
     return LineReader(DELIMITER, LONGEST_RECORD, RecordParser(), trusts_first=True)
 
 
-def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
-    return next(_decode_pieces(reads, header, math.inf))
-
-
-def decode_pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-    return _decode_pieces(reads, header, sessions.PIECE_BYTES)
-
-
-def _decode_pieces(
+def decode_pieces(
     reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float
 ) -> "Iterator[Stream]":
     ident, period_ticks = make_ident(header.get("decoder")), TICK_HZ / float(header["rate_hz"])

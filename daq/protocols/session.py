@@ -14,6 +14,7 @@ States of a session, and the calls that change them::
     idle       the rest of the stream may still come
 """
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
@@ -209,8 +210,15 @@ class Backend(Protocol):
     def session(self, port: Port, url: str, request: RecordRequest) -> Session:
         """Return a session on an open port: the protocol's own class of sessions."""
 
-    def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
-        """Decode the reads of one connection out of a journal with this header."""
+    def decode_pieces(
+        self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float
+    ) -> "Iterator[Stream]":
+        """Decode the reads of one connection out of a journal with this header, in pieces of about so many bytes.
 
-    def decode_pieces(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-        """Decode them piece by piece, at least one; ``reads`` is iterated over repeatedly and must yield the same."""
+        There is at least one piece; ``reads`` is iterated over repeatedly and must yield the same.
+        """
+
+
+def decode_whole(backend: Backend, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
+    """Decode the reads of one connection in one piece."""
+    return next(backend.decode_pieces(reads, header, math.inf))

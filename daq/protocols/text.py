@@ -32,7 +32,6 @@ A measured number is a count of its last decimal, so that everything after this 
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
 """
 
-import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -91,15 +90,7 @@ def make_reader(form: Columns) -> LineReader:
     return LineReader(DELIMITER, LONGEST_LINE, LineParser(form), trusts_first=False)
 
 
-def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
-    return next(_decode_pieces(list(reads), header, math.inf))
-
-
-def decode_pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
-    return _decode_pieces(reads, header, sessions.PIECE_BYTES)
-
-
-def _decode_pieces(
+def decode_pieces(
     reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float
 ) -> "Iterator[Stream]":
     declared = header["columns"]

@@ -27,14 +27,13 @@ from daq.recorder.record import (
     RecordingInterruptedError,
     check_output,
     count_samples,
-    disk_error,
-    journal_exists,
     keep_journal,
     make_header,
     make_run,
+    open_journal,
 )
 from daq.runfile import journal
-from daq.runfile.recording import FARTHEST, LONGEST_S
+from daq.runfile.run_data import FARTHEST, LONGEST_S
 from stickslip.compute.arrays import Array, Integers, numbers
 from stickslip.errors import DataError, DeviceError, InputError
 from stickslip.text import storable
@@ -99,12 +98,7 @@ def _write_recording(
         "title": f"{'counts' if first.counted else 'positions'} of a program, {rate_hz:g} Hz",
         "warnings": warnings,
     }
-    try:
-        writer = journal.Writer(request.part, make_header(settings, request.notes, {"source": type(source).__name__}))
-    except FileExistsError as error:
-        raise journal_exists(request.part) from error
-    except OSError as error:
-        raise disk_error(request.part, error) from error
+    writer = open_journal(request, make_header(settings, request.notes, {"source": type(source).__name__}))
     place = JournalPlace(writer, request.output, lambda line: None)
     with keep_journal(writer):
         if request.calibration is not None:

@@ -31,7 +31,6 @@ from daq.recorder.reader import Reader
 from daq.runfile import journal, provenance
 from daq.runfile.journal_header import MOST_SAMPLES
 from daq.runfile.rig import Rig, find_replaced
-from daq.wire import frames
 from stickslip.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
 from stickslip.output import disk
 from stickslip.units import Measured
@@ -93,15 +92,22 @@ def check_output(request: RecordRequest) -> None:
         raise journal_exists(request.part)
 
 
-def _check_again(request: RecordRequest, writer: journal.Writer) -> None:
-    """Refuse a run file that another recording has completed since `check_output`, before anything is recorded."""
+def open_journal(request: RecordRequest, header: dict[str, Any]) -> journal.Writer:
+    """Create the journal, unless another recording has completed the run file since `check_output`."""
     from stickslip.output.atomic import refuse_existing
 
+    try:
+        writer = journal.Writer(request.part, header)
+    except FileExistsError as error:
+        raise journal_exists(request.part) from error
+    except OSError as error:
+        raise disk_error(request.part, error) from error
     try:
         refuse_existing(request.output, request.force)
     except InputError:
         writer.remove()
         raise
+    return writer
 
 
 def journal_exists(part: Path) -> InputError:
@@ -143,15 +149,8 @@ def record(
     logger.info("%s at %g Hz, blocks of %d, journal %s", request.port, plan.rate_hz, plan.block, request.part)
     try:
         samples = count_samples(request.duration_s, plan.rate_hz)
-        writer = journal.Writer(request.part, _make_board_header(request, board, identity, plan, samples, warnings))
-        _check_again(request, writer)
-    except FileExistsError as error:
-        board.close()
-        raise journal_exists(request.part) from error
-    except OSError as error:
-        board.close()
-        raise disk_error(request.part, error) from error
-    except InputError:
+        writer = open_journal(request, _make_board_header(request, board, identity, plan, samples, warnings))
+    except StickslipError:
         board.close()
         raise
     if not writer.locked:
@@ -302,7 +301,9 @@ def _make_board_header(
         "title": f"{identity.ident.name or 'stick-slip'}, {plan.rate_hz:g} Hz",
         "warnings": warnings,
     }
-    return make_header(how, request.notes, {"port": request.port, "firmware": _format_version(identity.ident)})
+    return make_header(
+        how, request.notes, {"port": request.port, "firmware": ".".join(map(str, identity.ident.firmware))}
+    )
 
 
 def make_header(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mapping[str, str]) -> dict[str, Any]:
@@ -321,10 +322,6 @@ def make_header(how: Mapping[str, Any], notes: Mapping[str, Any], origin: Mappin
         "utc_offset_s": int(offset.total_seconds()) if offset else 0,
         "provenance": provenance.collect_provenance() | dict(origin),
     }
-
-
-def _format_version(ident: frames.Ident) -> str:
-    return ".".join(str(number) for number in ident.firmware)
 
 
 def _write_records(

@@ -18,7 +18,7 @@ from daq.runfile.journal_header import FASTEST_HZ, SLOWEST_HZ
 from daq.runfile.rig import Rig, find_replaced
 from stickslip.compute.interpreter import start_python
 from stickslip.errors import InputError, check_type
-from stickslip.units import Stated, exact_in_si, read_stated
+from stickslip.units import Stated, exact_in_si, read_all_stated
 
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
@@ -133,19 +133,19 @@ def record(
     target = names.complete_name(Path(output))
     typed_tags = [f"{name}={value}" for name, value in (tags or {}).items()]
     notes = NoteFlags(title, operator, sample, note, typed_tags or None).collect()
-    values = {
-        "mass": read_stated(mass, "mass"),
-        "stiffness": read_stated(stiffness, "stiffness"),
-        "damping": read_stated(damping, "damping"),
-        "belt_speed": read_stated(belt_speed, "belt_speed"),
-        "x0": read_stated(x0, "x0"),
-        "metres_per_count": read_stated(metres_per_count, "metres_per_count"),
-    }
+    stated = read_all_stated(
+        mass=mass,
+        stiffness=stiffness,
+        damping=damping,
+        belt_speed=belt_speed,
+        x0=x0,
+        metres_per_count=metres_per_count,
+    )
     request = RecordRequest(
         output=target,
         force=force,
         calibration=None if rig is None else _read_text(Path(rig)),
-        stated={name: value for name, value in values.items() if value is not None},
+        stated=stated,
         notes=notes,
     )
     with _viewer(request.part) if live else contextlib.nullcontext():

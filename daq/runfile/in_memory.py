@@ -1,7 +1,7 @@
 """A run made of arrays: the positions or counts that a program already has in memory, and what is known of the rig."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -13,7 +13,7 @@ from daq.runfile.rig import Rig
 from daq.runfile.run_data import FARTHEST, RunData, explain_implausible, explain_impossible, positions
 from stickslip.compute.arrays import Array, Integers, numbers
 from stickslip.errors import InputError, check_type
-from stickslip.units import Measured, Stated, read_stated
+from stickslip.units import Measured, Stated, read_all_stated
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -32,15 +32,9 @@ def from_arrays(
     make: Callable[..., Made],
     time: "ArrayLike",
     position: "ArrayLike",
-    *,
-    mass: Stated | None = None,
-    stiffness: Stated | None = None,
-    belt_speed: Stated | None = None,
-    x0: Stated | None = None,
-    damping: Stated | None = None,
-    metres_per_count: Stated | None = None,
-    belt_position: "ArrayLike | None" = None,
-    title: str = "",
+    stated: Mapping[str, Stated | None],
+    belt_position: "ArrayLike | None",
+    title: str,
 ) -> Made:
     """Make a run of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
     from daq.runfile import provenance
@@ -53,7 +47,8 @@ def from_arrays(
         raise InputError(f"time and position hold {len(times)} sample(s)", "from_arrays", "give two or more")
     seconds = times.astype(np.float64)
     seconds = seconds - seconds[0]
-    pitch = read_stated(metres_per_count, "metres_per_count")
+    quantities = read_all_stated(**stated)
+    pitch = quantities.get("metres_per_count")
     metres = values.astype(np.float64)
     for name, column in (("time", seconds), ("position", metres)):
         _check_finite(column, name)
@@ -62,14 +57,7 @@ def from_arrays(
         raise InputError(wrong, "from_arrays", "give times in s that increase, and positions in m or counts")
     if count is None and (moved := explain_implausible(seconds, metres)) is not None:
         warnings.warn(f"are the positions in m? {moved}; if they are in mm, give x / 1000", UserWarning, stacklevel=3)
-    rig = Rig(
-        metres_per_count=pitch,
-        mass=read_stated(mass, "mass"),
-        stiffness=read_stated(stiffness, "stiffness"),
-        belt_speed=read_stated(belt_speed, "belt_speed"),
-        x0=read_stated(x0, "x0"),
-        damping=read_stated(damping, "damping"),
-    )
+    rig = Rig().stating(quantities)
     started = datetime.now(UTC)
     run = make(
         title=title or "arrays",

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from daq.runfile import joint, nexus, schema, store, tree, trust
-from daq.runfile.recording import OF_FILE, count_lost
+from daq.runfile.run_data import OF_FILE, count_lost
 from stickslip.errors import InputError
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.

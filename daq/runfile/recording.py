@@ -7,21 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runfile.run_data import (
-    EVENT_NAMES,
-    EVENTS,
-    FARTHEST,
-    FASTEST_HZ,
-    LONGEST_S,
-    OF_FILE,
-    Raw,
-    RunData,
-    SentAs,
-    Truth,
-    count_lost,
-    explain_impossible,
-    positions,
-)
+from daq.runfile.run_data import OF_FILE, RunData, count_lost
 from stickslip.output.lengths import shown_length, shown_range
 from stickslip.text import storable
 
@@ -34,22 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from stickslip.units import Stated
-
-__all__ = [
-    "EVENTS",
-    "EVENT_NAMES",
-    "FARTHEST",
-    "FASTEST_HZ",
-    "LONGEST_S",
-    "OF_FILE",
-    "Raw",
-    "Recording",
-    "SentAs",
-    "Truth",
-    "count_lost",
-    "explain_impossible",
-    "positions",
-]
 
 
 @dataclass(frozen=True)
@@ -171,19 +141,15 @@ class Recording(RunData):
         """
         from daq.runfile.in_memory import from_arrays
 
-        return from_arrays(
-            cls,
-            time,
-            position,
-            mass=mass,
-            stiffness=stiffness,
-            belt_speed=belt_speed,
-            x0=x0,
-            damping=damping,
-            metres_per_count=metres_per_count,
-            belt_position=belt_position,
-            title=title,
-        )
+        stated = {
+            "mass": mass,
+            "stiffness": stiffness,
+            "belt_speed": belt_speed,
+            "x0": x0,
+            "damping": damping,
+            "metres_per_count": metres_per_count,
+        }
+        return from_arrays(cls, time, position, stated, belt_position, title)
 
     def save(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
         """Write the run into a run file (.h5), which `daq.load` and every command read.

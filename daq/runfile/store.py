@@ -19,9 +19,10 @@ import h5py
 import numpy as np
 
 from daq.runfile import nexus, schema, tree, trust
-from daq.runfile.recording import Raw, Recording, SentAs, Truth, explain_impossible
+from daq.runfile.recording import Recording
 from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Raw, SentAs, Truth, explain_impossible
 from daq.runfile.write import write
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
@@ -124,7 +125,9 @@ class RunReader:
         """Return the run, or some of its samples (`load`)."""
         with trust.damage(self._where):
             values = tree.read(self._entry, RECORDING, self._where, self._in_file(selected))
-            _check_motion(values["time"], values["position"], self._where)
+            time, position = values["time"], values["position"]
+            if wrong := explain_impossible(time, position) if time.size else "holds no samples":
+                raise InputError(wrong, str(self._where), nexus.AGAIN)
             raw, sent_as = tree.select_part(values, "raw"), tree.select_part(values, "sent_as")
             return Recording(
                 **{key: value for key, value in values.items() if "." not in key},
@@ -311,9 +314,3 @@ def _explain_unopened(path: Path, error: OSError) -> InputError:
         )
     detail = "is cut short" if "truncated" in str(error) else f"is damaged HDF5 ({str(error).splitlines()[0]})"
     return InputError(detail, str(path), trust.AGAIN)
-
-
-def _check_motion(time: Array, position: Array, where: Path) -> None:
-    what = explain_impossible(time, position) if time.size else "holds no samples"
-    if what is not None:
-        raise InputError(what, str(where), nexus.AGAIN)

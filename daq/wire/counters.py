@@ -110,9 +110,9 @@ class Order:
 class FrameOrder:
     """Place the frames of a stream: undo roll-over, measure gaps, find repeats and restarts.
 
-    The frames come in pieces: all of them are surveyed first, then placed in the same order.  Device time determines
-    how often the sequence number rolled over between two frames, so a gap may have any length below 2^31 ticks
-    (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by `LATE_FRAMES` at most,
+    The frames come in pieces; the true sample period is that of all frames so far.  Device time determines how often
+    the sequence number rolled over between two frames, so a gap may have any length below 2^31 ticks (35.8 min at
+    1 us).  A frame that steps back in time, and in sequence by as many samples, by `LATE_FRAMES` at most,
     is a repeat or late.  Any other step back, of either, and a gap on whose length the two disagree (`agree_on_gap`),
     is a jump; where the sequence shows no gap, it is a leap of the time alone.
 
@@ -122,43 +122,25 @@ class FrameOrder:
     def __init__(self, ticks_per_sample: float) -> None:
         self._nominal = ticks_per_sample
         self._pace = _Pace()
-        self._period, self._doubt = ticks_per_sample, 0.0
-        self.rewind()
-
-    def rewind(self) -> None:
-        self._surveyed = False
-        self._repeats = _Repeats(self._nominal)
+        self._repeats = _Repeats(ticks_per_sample)
         self._last: tuple[int, int, int, int, int] | None = None  # kept: seq, ticks, n, and its place: index, ticks
-
-    def survey(
-        self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
-    ) -> None:
-        """Learn the true sample period from the next frames.
-
-        ``seq`` and ``ticks``, (f,), are as sent: modulo 2^16 and 2^32; ``n``, (f,), is the samples in each frame.
-        Before the frames ``restarts``, (r,), the board identified itself.
-        """
-        self._surveyed = True
-        keep, _, _ = self._repeats.find(seq, ticks, n, restarts)
-        step, forward, previous_n = self._find_steps(seq[keep], ticks[keep], n[keep])
-        self._pace.add(step, forward, previous_n)
-        if keep.any():
-            self._last = (int(seq[keep][-1]), int(ticks[keep][-1]), int(n[keep][-1]), 0, 0)
 
     def place(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
     ) -> Order:
-        """Place the next frames; arguments as of `survey`."""
-        if self._surveyed:
-            self._period, self._doubt = self._pace.estimate(self._nominal)
-            self.rewind()
+        """Place the next frames.
+
+        ``seq`` and ``ticks``, (f,), are as sent: modulo 2^16 and 2^32; ``n``, (f,), is the samples in each frame.
+        Before the frames ``restarts``, (r,), the board identified itself.
+        """
         keep, restart, announced = self._repeats.find(seq, ticks, n, restarts)
         kept = np.flatnonzero(keep)
         step, forward, previous_n = self._find_steps(seq[kept], ticks[kept], n[kept])
-        period = self._period
+        self._pace.add(step, forward, previous_n)
+        period, doubt = self._pace.estimate(self._nominal)
         step += 65536 * np.round((forward / period - step) / 65536).astype(np.int64)
         first = 0 if self._last else 1  # the first frame of all follows none
-        restarts_here, agrees = restart[kept[first:]], agree_on_gap(step, forward / period, self._doubt)
+        restarts_here, agrees = restart[kept[first:]], agree_on_gap(step, forward / period, doubt)
         restarts_here = restarts_here | (step < previous_n) | ((step != previous_n) & ~agrees)
         restart[kept[first:]] = restarts_here
         leap = np.zeros(len(seq), dtype=np.bool_)

@@ -4,7 +4,6 @@ Lines of one length are checked and read as one array; `daq.wire.frames.FrameRea
 tests compare the two.  Where a read ended changes nothing but the stamps.
 """
 
-import math
 from array import array
 from binascii import crc_hqx
 from collections.abc import Iterable, Iterator
@@ -108,22 +107,14 @@ class _Lines:
     dropped_bytes: int  # of endless lines
 
 
-def decode(reads: Iterable[tuple[int, bytes]], decoder: str | None = None) -> Stream:
-    """Decode the reads of one connection at once.
-
-    ``reads`` are the host's monotonic stamp at the end of each read, ns, and its bytes; ``decoder`` is the one that the
-    recorder requested, also of a board that had restarted.
-    """
-    return next(decode_pieces(reads, math.inf, decoder))
-
-
 def decode_pieces(
     reads: Iterable[tuple[int, bytes]], most_bytes: float, decoder: str | None = None
 ) -> Iterator[Stream]:
     """Decode the reads of one connection piece by piece, each of about so many bytes; at least one piece.
 
-    Together they are what `decode` returns at once.  A read that ends inside a frame belongs to the piece of that
-    frame; an identification after a piece's last frame to the first frame of the next piece.
+    ``reads`` are the host's monotonic stamp at the end of each read, ns, and its bytes; ``decoder`` is the one that the
+    recorder requested, also of a board that had restarted.  A read that ends inside a frame belongs to the piece of
+    that frame; an identification after a piece's last frame to the first frame of the next piece.
 
     If there is more than one piece, ``reads`` is iterated over twice and must yield the same.
     """

@@ -6,8 +6,6 @@ version.  The full description with worked example bytes is docs/reference/wire.
 
 Not here: what the numbers mean over time (roll-over of the 16-bit counters, the 16-bit sequence number and the 32-bit
 device time: `daq.wire.counters`) and the vectorised decoding of whole journals (`daq.wire.decode`).
-
-Longer than 200 lines because the five frame kinds and their reader are one format, described and changed together.
 """
 
 import struct
@@ -156,11 +154,6 @@ def _unstuff_line(line: bytes) -> bytes:
     except cobs.DecodeError:
         return b""
     return body
-
-
-def deframe(line: bytes) -> bytes | None:
-    """Return the payload of the bytes between two delimiters, or None if COBS or the CRC is invalid."""
-    return _check_crc(_unstuff_line(line))
 
 
 def _check_crc(body: bytes) -> bytes | None:

@@ -10,6 +10,7 @@ is the one for which the remainder, with the noise, has the correlation time of 
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,50 +27,80 @@ from stickslip.units import Measured
 FEWEST_BREAK_AWAYS = 6  # break-aways of which a scatter is taken
 LEAST_EXCESS = 0.02  # of the break-away level over that of slip; under the six laws the ratio errs by up to 0.7 %
 ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
-# The growth with time is compared with its own scatter; it comes out at half to three quarters of the truth, because a
-# high level also makes the stick before it longer.
 
 
-def find_other_break_away(
-    events: Sequence[BreakAway], cut: CycleSegmentation, rest: Measured, unit: str
-) -> list[Finding]:
-    """Return that break-aways disagree with friction at rest (with its shared error); none where too few show it."""
-    landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
-    good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]
-    if len(good) < FEWEST_BREAK_AWAYS:
+class BreakAways(NamedTuple):
+    """The break-aways of one run."""
+
+    events: Sequence[BreakAway]
+    cut: CycleSegmentation
+    error: float  # standard deviation of their levels that all share, over the level
+
+
+def find_other_break_away(runs: Sequence[BreakAways], level: float, unit: str) -> list[Finding]:
+    """Return that the runs' break-aways disagree with friction at rest (``level``), or no finding."""
+    each = [_levels(run) for run in runs]
+    ratio = np.concatenate([ratios for ratios, _ in each])
+    if ratio.size < FEWEST_BREAK_AWAYS:
         return []
-    ratio = np.array([event.break_away_level / event.kinetic_scale for event in good])
     mean = float(ratio.mean())
-    error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), rest.sd / rest.value)
+    error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), max(run.error for run in runs))
     known = math.hypot(error, LEAST_EXCESS / ERRORS_SHOWN)
     if abs(mean - 1) < ERRORS_SHOWN * known:
         return []
-    measured = mean * rest.value
+    measured = mean * level
     text = (
-        f"break-away: friction at the measured break-aways is {measured:.4g} +- {error * rest.value:.2g} {unit}, that "
-        f"of the law at rest {rest.value:.4g} {unit}"
+        f"break-away: friction at the measured break-aways is {measured:.4g} +- {error * level:.2g} {unit}, that "
+        f"of the law at rest {level:.4g} {unit}"
     )
-    stick = np.array([event.t - landing.get(event.number, math.nan) for event in good])
-    growth = _growth(stick, ratio)
-    if growth is not None and growth.value > ERRORS_SHOWN * growth.sd:
-        text += f"; it grows by about {100 * growth.value:.2g} % for every e-fold of the time at rest"
-    return [Finding("break-away", text, measured, rest.value, abs(mean - 1) / known)]
+    growth = _growth([(*own, run.error) for own, run in zip(each, runs, strict=True)])
+    if growth is not None and len(runs) > 1:
+        size = f"{100 * growth.value:.2g} +- {100 * growth.sd:.1g} %"
+        text += f"; by the runs' means it grows by {size} of that for every e-fold of the time at rest"
+    elif growth is not None and growth.value > ERRORS_SHOWN * growth.sd:
+        text += f"; it grows by about {100 * growth.value:.2g} % of that for every e-fold of the time at rest"
+    return [Finding("break-away", text, measured, level, abs(mean - 1) / known)]
 
 
-def _growth(stick: Array, ratio: Array) -> Measured | None:
-    """Return the slope of the log ratio over the log stick time, with a standard error robust to outliers."""
-    good = np.isfinite(stick) & (stick > 0)
-    if good.sum() < FEWEST_BREAK_AWAYS:
+def _levels(run: BreakAways) -> tuple[Array, Array]:
+    """Return the levels of a run's break-aways over that at rest, and the sticks before them, s (NaN where unknown)."""
+    landing = {cycle.number + 1: cycle.landing for cycle in run.cut.cycles}
+    good = [event for event in run.events if not event.flag and math.isfinite(event.break_away_level)]
+    ratio = np.array([event.break_away_level / event.kinetic_scale for event in good])
+    return ratio, np.array([event.t - landing.get(event.number, math.nan) for event in good])
+
+
+def _growth(runs: Sequence[tuple[Array, Array, float]]) -> Measured | None:
+    """Return the slope of the ratio over the log stick time: of several runs by their means.
+
+    Within a run it errs, by half or twofold: a level that is high by chance also makes the stick before it longer.
+    """
+    means = []
+    for ratio, stick, error in runs:
+        good = np.isfinite(stick) & (stick > 0)
+        if good.sum() < FEWEST_BREAK_AWAYS:
+            continue
+        x, y = np.log(stick[good]), ratio[good]
+        if len(runs) == 1:
+            return _slope_within(x, y)
+        means.append((x.mean(), y.mean(), y.var(ddof=1) / y.size + error**2))
+    if len(means) < 2:
         return None
-    x, y = np.log(stick[good]), np.log(ratio[good])
+    x, y, variance = np.array(means).T
+    x = x - np.average(x, weights=1 / variance)
+    square = float(np.sum(x**2 / variance))
+    return Measured(float(np.sum(x * y / variance)) / square, 1 / math.sqrt(square)) if square > 0 else None
+
+
+def _slope_within(x: Array, y: Array) -> Measured | None:
+    """Return the slope of y (n,) over x (n,), with a standard error robust to outliers."""
     x, y = x - x.mean(), y - y.mean()
     square = float(np.sum(x**2))
     if square == 0:
         return None
     slope = float(np.sum(x * y)) / square
-    rest = y - slope * x
     # each point's own residual, raised by its leverage (HC3: J. MacKinnon, H. White, J. Econometrics 29 (1985) 305)
-    raised = x * rest / (1 - x**2 / square - 1 / x.size)
+    raised = x * (y - slope * x) / (1 - x**2 / square - 1 / x.size)
     return Measured(slope, math.sqrt(float(np.sum(raised**2))) / square)
 
 

@@ -486,11 +486,14 @@ PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spr
 def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
 
-    None where no slip is judged, the motion cannot be followed, or even Fs would not be detected.
+    None where no slip is judged, nothing slips, or even Fs would not be detected.
     """
-    waves = departure_waves(fit, linearised.derivatives.blocks)
-    if waves is None:
+    motions, width = fit.problem.motions, fit.values.d if fit.problem.ramp else 0.0
+    speeds = zip(fit.u[Global.V_DR :: PER_RUN], motions, strict=True)
+    fastest = max(float(belt - motion.velocity.min()) - width for belt, motion in speeds)
+    if fastest <= 0:
         return (None,) * len(slips)
+    waves = partial(_respond, fit, fastest, max(motion.travel for motion in motions))
     parts = [
         [part for run in slips for part in (run.bins.sums(left, block), run.bins.sums(left**2, block))]
         for block, left in linearised.refit(waves)
@@ -530,19 +533,8 @@ def _amplitude(null: Array, excess: float, more: float) -> float:
     return math.sqrt((limit - mean) / gain) if gain > 0 else math.inf
 
 
-def departure_waves(fit: Fit, blocks: Sequence[Block]) -> Repeat | None:
-    """Return the response of the positions to waves as large as the friction, (n, waves) of each block, m."""
-    fastest, low, high = 0.0, math.inf, -math.inf
-    for block in blocks:
-        path = fit.path_in(block)
-        if path is None:
-            return None
-        fastest = max(fastest, float(np.max(path.slip_speed, where=path.slips, initial=0.0)))
-        low, high = min(low, float(path.position.min())), max(high, float(path.position.max()))
-    return partial(_respond, fit, fastest, high - low) if fastest > 0 else None
-
-
 def _respond(fit: Fit, fastest: float, travel: float, blocks: Sequence[Block]) -> Iterator[Array]:
+    """Yield the response (n, waves) of the positions in each block to waves as large as the friction, m."""
     for block in blocks:
         path = fit.path_in(block)
         if path is None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from fitting.judge import breaks
 from fitting.judge.adequacy import NONE_FITTED, NONE_OF_SIX, Adequacy
-from fitting.judge.fluctuation import find_other_break_away
+from fitting.judge.fluctuation import BreakAways, find_other_break_away
 from fitting.judge.friction import mass, unit
 from fitting.judge.judgement import Competition
 from fitting.judge.orbit import MeasuredOrbit
@@ -30,7 +30,6 @@ from fitting.words import verdict
 from fitting.words import warnings as verdict_warnings
 from processing.record.kinematics import Kinematics
 from processing.record.motion import Finding
-from stickslip.units import Measured
 
 RIG = ("k/m", "v_dr", "x0", "c/m", "k", "c", "m")  # the others are parameters of a law, each with a meaning in it alone
 GROUPS = {group[0]: group for group in UNDETERMINED_WITH.values() if group[0] in RIG}  # what goes with each of them
@@ -105,7 +104,7 @@ def build_ranking(
     orbits, together = [MeasuredOrbit.of(run.motion) for run in competition.runs], adequacies[0]
     of_law = (_rows_of(fit, competition, options, orbits, together) for fit in competition.fits)
     tables = list(zip(*of_law, strict=True))
-    shared = [] if other_contact is None else [other_contact]
+    shared = [*([] if other_contact is None else [other_contact]), *_other_break_away(competition)]
     if together.fluctuation is not None:
         share = 100 * together.fluctuation
         text = f"friction fluctuates at random within slips, by about {share:.2g} % of Fs: no law can describe it"
@@ -235,9 +234,6 @@ def _side(
     events = breaks.find_break_aways(rows[0].fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
     findings = [*(finding for finding in record.findings if finding.code != "belt-speed"), *findings]
-    # a mass that merely grazes the belt does not break away from rest
-    if competition.sustained and competition.described:
-        findings += _other_break_away(competition, number)
     return Ranking(
         verdict="",
         members=tuple(law.key for law in competition.members),
@@ -259,17 +255,24 @@ def _side(
     )
 
 
-def _other_break_away(competition: Competition, number: int) -> list[Finding]:
-    """Return that the break-aways of a run disagree with friction at rest under every law that is not excluded."""
-    run, found = competition.runs[number], []
+def _other_break_away(competition: Competition) -> list[Finding]:
+    """Return that the break-aways disagree with friction at rest under every law that is not excluded."""
+    if not (competition.sustained and competition.described):
+        return []  # a mass that merely grazes the belt does not break away from rest
+    motion, found = competition.runs[0].motion, []
     for fit in competition.fits:
         if fit.law.rate and fit.law.key in competition.compatible:
             return []  # its motion contains the break-aways
         if fit.law.key in competition.compatible:
-            level = fit.values.F * mass(run.motion, fit.for_run(number))
-            rest = Measured(level, level * break_away_level_error(fit, run.motion, number))
-            events = breaks.find_break_aways(fit.for_run(number), run.motion, run.cut)
-            found.append(find_other_break_away(events, run.cut, rest, unit(run.motion)))
+            runs = [
+                BreakAways(
+                    breaks.find_break_aways(fit.for_run(number), run.motion, run.cut),
+                    run.cut,
+                    break_away_level_error(fit, run.motion, number),
+                )
+                for number, run in enumerate(competition.runs)
+            ]
+            found.append(find_other_break_away(runs, fit.values.F * mass(motion, fit), unit(motion)))
     return found[0] if all(found) else []
 
 

@@ -101,7 +101,6 @@ def format_page(drawn: Iterable[tuple[Entry, Drawing, str]], not_redrawn: Mappin
 
 
 def format_differences(drawn: Iterable[tuple[Entry, Drawing, str]]) -> str:
-    """Return the list of the statements that do not hold."""
     rows = [(entry, row) for entry, drawing, _ in drawn for row in drawing.table if not row.agrees]
     if not rows:
         return ""

@@ -75,7 +75,6 @@ def join_lines(value: Any) -> Any:
 def compute_drawing(
     where: str, figure: Mapping[str, Any], words: Mapping[str, str], compute: Callable[[], Computed]
 ) -> Drawing:
-    """Compute a figure, and return it with its words and its table."""
     computed = compute()
     numbers = {**words, **computed.numbers}
     try:
@@ -95,7 +94,6 @@ def format_text(text: str, numbers: Mapping[str, Any]) -> str:
 
 
 def check_row(row: list[Any], numbers: Mapping[str, Any]) -> StatementCheck:
-    """Return a row, compared with the computed figure."""
     options = row[-1] if isinstance(row[-1], dict) else {}
     quantity, printed, computed, *rest = (format_text(part, numbers) for part in row if part is not options)
     if "{" not in row[2]:

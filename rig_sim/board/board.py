@@ -89,7 +89,6 @@ class SimulatedBoard:
         self._line = b""
 
     def power_up(self) -> bytes:
-        """Return the identification that the board sends at power-up."""
         return wire.encode_ident(self._ident())
 
     def write(self, data: bytes) -> bytes:

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
 
 
 def load_changed(name: str, changes: list[str] | None) -> "Scene":
-    """Return a scene with the changes of ``--set``."""
     from rig_sim.scenes.scene import parse_changes, scene
 
     return scene(name, **parse_changes(changes))

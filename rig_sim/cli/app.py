@@ -48,7 +48,6 @@ def count_finished(values: dict[str, Any]) -> Iterator[None]:
 
 @contextmanager
 def refuse_search_plot(values: dict[str, Any]) -> Iterator[None]:
-    """Refuse a picture of the search, which `rig_sim.lock` does not draw."""
     if values.get("method") == "search" and values.get("plot") is not None:
         raise InputError("draws --method=ogy alone", "--plot", "drop one of the two")
     yield
@@ -98,7 +97,6 @@ for command in (
 
 
 def main() -> NoReturn:
-    """Run ``rig-sim`` on the process's own command line."""
     application.main(app)
 
 

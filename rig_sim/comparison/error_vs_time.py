@@ -158,7 +158,6 @@ def time_run(run: Run) -> tuple[EventList, float]:
 
 
 def compute_reference(scene: Scene, until: float) -> tuple[list[tuple[Any, str]], str]:
-    """Return the reference's events and name; no events where it does not cover the scene."""
     try:
         events = reference.events(scene.flow(), float(scene.start.x), float(scene.start.v), until)
     except reference.Uncovered as why:
@@ -214,7 +213,6 @@ def describe_simultaneous(events: EventList) -> str:
 
 
 def sort_by_tightness(lists: Lists) -> list[tuple[str, str]]:
-    """Return methods and settings, the tightest first."""
     return [key for name in BY_TIGHTNESS for key in reversed(lists) if key[0] == name]
 
 

@@ -101,7 +101,6 @@ def solve_phase(
 
 
 def make_rk4_solver(step: float) -> PhaseSolver:
-    """Return the method with steps of ``step`` (s)."""
     if not (math.isfinite(step) and step > 0.0):
         raise ValueError(f"step is {step}; need a positive number")
     return partial(solve_phase, step)

@@ -55,7 +55,6 @@ def right_hand_side(fr: Frame, mode: int) -> Slopes:
 
 
 def solve_stick(fr: Frame, t: float, p: float, t_max: float, work: Work) -> PhaseResult:
-    """Return a stick phase in closed form, as for the exact method."""
     work.steps += 1.0
     rest = t_max - t
     side, tau = driven_stick_exit(fr, p, t, rest) if fr.u0 != 0.0 else stick_exit(fr, p, rest)

@@ -67,5 +67,4 @@ MEASURED_CURVE = Law(0, "measured curve", "measured", "jump", ("curve",))  # the
 
 
 def law_or_curve(number: int) -> Law:
-    """Return the law of this number, or `MEASURED_CURVE` for 0."""
     return MEASURED_CURVE if number == 0 else LAWS[number]

@@ -56,7 +56,6 @@ class Continuation(Result):
     UNITS: ClassVar[Mapping[str, str]] = {"x": "m", "x_min": "m", "x_max": "m", "period": "s"}
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         branches = [
             {
                 "kind": branch.kind,
@@ -102,7 +101,6 @@ class Continuation(Result):
         return pd.DataFrame(self.as_json()["points"])
 
     def lines(self) -> list[str]:
-        """Return a line for each branch and each special point."""
         width = 11 if any(branch.kind in ("orbit", "fixed point") for branch in self.branches) else 8
         lines = [
             f"{'stable' if branch.stable else 'unstable':8} {branch.kind:{width}} {self.parameter} "
@@ -121,7 +119,6 @@ class Continuation(Result):
         return lines + ([f"{refused} of {number} draws are no rig and were left out"] if refused else [])
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the branches over the parameter, unstable ones dashed, with the special points."""
         for branch in self.branches:
             values = [row.value for row in branch.rows]
             colour, line = (STABLE, "-") if branch.stable else (UNSTABLE, "--")

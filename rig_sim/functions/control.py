@@ -49,7 +49,6 @@ class Quench(Result, Quenching):
     }
 
     def lines(self) -> list[str]:
-        """Return the answer, the thresholds and the swings in words."""
         lines = [f"{self.outcome}: u0 = {self.flow.u0:.6g}"]
         simulated = self.simulated_threshold
         by_formula = ("by formula", self.threshold), ("with the slope of friction", self.threshold_with_slope)
@@ -74,7 +73,6 @@ class Quench(Result, Quenching):
         return quench_figure(self.flow, *self.start)
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the motion with and without its drive."""
         from rig_sim.dynamics.pictures.control import draw_dither
 
         draw_dither(ax, self.flow, *self.start)
@@ -129,14 +127,12 @@ class Lock(Result):
     UNITS: ClassVar[Mapping[str, str]] = {"t": "s", "x": "m", "change": "N", "x_slip": "m"}
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         data = super().as_json()
         if self.kept is None:
             del data["kept"]
         return data
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return the numbers of the answer, without the orbits."""
         return [{name: value for name, value in self.as_json().items() if name not in ("orbit", "orbits")}]
 
     def to_dataframe(self) -> "pd.DataFrame":
@@ -159,7 +155,6 @@ class Lock(Result):
         return table
 
     def lines(self) -> list[str]:
-        """Return the answer and the orbits in words."""
         lines = [f"outcome        {self.outcome}" + (f" ({self.advice})" if self.advice else "")]
         if self.regular_period is not None:
             lines.append(f"without control the motion settles on period {self.regular_period}")
@@ -189,7 +184,6 @@ class Lock(Result):
         return "there is no motion under control" if self.control is None else ""
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the landings one after the other."""
         from rig_sim.dynamics.pictures.control import draw_landings
 
         draw_landings(ax, self.control)
@@ -231,7 +225,6 @@ class Shaker(Result):
     SIZE = (8.6, 6.2)
 
     def lines(self) -> list[str]:
-        """Return the answer in words."""
         kind = "decays" if self.delta < 0.0 else "grows" if self.delta > 0.0 else "neither grows nor decays"
         outside = "" if self.in_band else ", but its frequency lies outside the filter's band"
         return [
@@ -243,7 +236,6 @@ class Shaker(Result):
         ]
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the curves of constant growth rate and frequency, and where the oscillation decays."""
         from rig_sim.dynamics.pictures.control import draw_shaker
 
         if self.plane is not None:
@@ -387,7 +379,6 @@ def collect_fields(f: FormulaMap, locking: "Locking") -> dict[str, Any]:
 
 
 def describe_orbit(f: FormulaMap, orbit: "UnstableOrbit") -> dict[str, Any]:
-    """Return an orbit by the names of JSON."""
     from rig_sim.dynamics.return_maps.landing import LandingMap
 
     if not isinstance(f, LandingMap):
@@ -505,7 +496,6 @@ def shaker(
 
 
 def check_size(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:
-    """Refuse a number that is not finite, too large or too small, or of the wrong sign."""
     if not math.isfinite(value) or abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
         raise InputError(f"is {value:g}", f"--{name}", f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}")
     if (positive and value <= 0.0) or (not negative and value < 0.0):
@@ -513,7 +503,6 @@ def check_size(name: str, value: float, *, positive: bool = False, negative: boo
 
 
 def parse_band(band: "str | tuple[float, float]") -> tuple[float, float]:
-    """Return the two frequencies of a band, rad/s."""
     do, python = "write LOW:HIGH in rad/s, as in 0.9:1.1", "give (low, high) in rad/s, as in (0.9, 1.1)"
     ends: Sequence[Any] = band.split(":") if isinstance(band, str) else band
     try:

@@ -65,7 +65,6 @@ class Map(Result):
     SIZE = (6.4, 6.2)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         data: dict[str, Any] = {}
         if self.has_places:
             names = ("d", "f", "word", "duration", "outcome", "advice")
@@ -86,7 +85,6 @@ class Map(Result):
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def lines(self) -> list[str]:
-        """Return a line for each place and each periodic orbit."""
         lines = [f"{'d':>22} {'f(d)':>22}  word"] if self.has_places else []
         for d, f, word, outcome, advice in zip(self.d, self.f, self.word, self.outcome, self.advice, strict=True):
             end = "" if outcome == "completed" else f"  {outcome} ({advice})"
@@ -100,7 +98,6 @@ class Map(Result):
         return lines
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the iterate of the map, with the points where it meets the diagonal."""
         from rig_sim.dynamics.pictures.maps import draw_map
 
         draw_map(ax, self.system, self.iterate)
@@ -140,7 +137,6 @@ class Basins(Result):
     SIZE = (8.6, 2.6)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         return super().as_json() | {"attractors": [asdict(attractor) for attractor in self.attractors]}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
@@ -148,7 +144,6 @@ class Basins(Result):
         return [{"attractor": number, **asdict(attractor)} for number, attractor in enumerate(self.attractors, 1)]
 
     def lines(self) -> list[str]:
-        """Return a line for each attractor."""
         lines = []
         for number, attractor in enumerate(self.attractors, 1):
             kind = f"period {attractor.period}" if attractor.period else "not periodic"
@@ -160,7 +155,6 @@ class Basins(Result):
         return lines
 
     def draw(self, ax: "Axes") -> None:
-        """Draw which attractor each start leads to, with the attractors' points above."""
         from rig_sim.dynamics.pictures.maps import draw_basins
 
         draw_basins(ax, self.attractors, self.centres, self.fate)
@@ -197,7 +191,6 @@ class Exponent(Result):
     advice: str = field(default="", repr=False, compare=False)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         data = super().as_json()
         if self.drive_periods_per_landing is None:
             del data["drive_periods_per_landing"]
@@ -210,7 +203,6 @@ class Exponent(Result):
         return [f"{format_with_error(self.exponent, self.stderr)} per {self.per} ({orbit})"]
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the exponent with its standard error, and 0, above which the motion is chaotic."""
         ax.axhline(0.0, color=PALE, lw=0.8)
         ax.errorbar([0.0], [self.exponent], yerr=[self.stderr], fmt="o", capsize=4, color=STABLE)
         ax.set(xticks=[], ylabel=f"Lyapunov exponent per {self.per}", title=self.name)

@@ -49,7 +49,6 @@ class Events(Result):
     SIZE = (9.5, 3.6)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         return super().as_json() | {"events": self.rows()}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
@@ -65,7 +64,6 @@ class Events(Result):
         return table
 
     def lines(self) -> list[str]:
-        """Return a line for each event, and how the motion ended."""
         head = [f"{'t':>22}", *(f"{name:>24}" for name in self.positions)]
         lines = [f"{' '.join(head)}  kind"]
         for event in self.events:
@@ -80,7 +78,6 @@ class Events(Result):
         return f"<Events of {self.name}\n {len(self.events)} events: {kinds}\n {end}>"
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the positions at the events over time; the marks show the contact that an event enters."""
         t, kinds = [event.t for event in self.events], [event.kind for event in self.events]
         for number, name in enumerate(self.positions):
             x, colour = [getattr(event, name) for event in self.events], f"C{number}"
@@ -166,7 +163,6 @@ class Motion(Result):
         return np.column_stack([self.columns[f"{quantity}1"], self.columns[f"{quantity}2"]])
 
     def lines(self) -> list[str]:
-        """Return the number of samples, and how the motion ended."""
         prefix = f"{self.file}: " if self.file is not None else ""
         return [f"{prefix}{self.samples} samples of t, x, v, F; outcome: {format_outcome(self.outcome, self.advice)}"]
 
@@ -179,7 +175,6 @@ class Motion(Result):
         return table
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the positions over time."""
         for name in self.names:
             if name[0] == "x":
                 ax.plot(self.columns["t"], self.columns[name], lw=1.0, label=name)
@@ -215,15 +210,12 @@ class Comparison(Result):
     SIZE = (7.4, 5.0)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         return {"rows": self.rows(), **super().as_json()}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return a row for each method and setting."""
         return [asdict(row) for row in self.results]
 
     def lines(self) -> list[str]:
-        """Return a line for each method and setting, and the reference of the errors."""
         errors = [row.note if row.error is None else f"{row.error:.1e}" for row in self.results]
         width = max(map(len, errors))
         lines = [f"{'method':11} {'setting':13} {'error':>{width}} {'CPU s':>9} {'us/cycle':>10}"]
@@ -237,7 +229,6 @@ class Comparison(Result):
         ]
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the error over the CPU time, both logarithmic; only where a method finds the right events."""
         for method in dict.fromkeys(row.method for row in self.results):
             rows = [row for row in self.results if row.method == method and row.error is not None]
             rows.sort(key=lambda row: row.cpu_s)

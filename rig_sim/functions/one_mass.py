@@ -38,11 +38,9 @@ class Cycle(Result, limit_cycle.Orbit):
     SIZE = (6.4, 4.6)
 
     def lines(self) -> list[str]:
-        """Return a line for every number."""
         return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the orbit in the phase plane, velocity over position."""
         import numpy as np
 
         from rig_sim.integrate.sampled import sample_motion
@@ -77,11 +75,9 @@ class FixedPoint(Result, fixed.FixedPoint):
     SIZE = (5.4, 4.6)
 
     def lines(self) -> list[str]:
-        """Return a line for every number."""
         return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the eigenvalues in the complex plane; left of the line a motion decays."""
         ax.axvline(0.0, color=PALE, lw=0.8)
         ax.plot([root.real for root in self.eigenvalues], [root.imag for root in self.eigenvalues], "o", color=STABLE)
         ax.set(xlabel=f"real part, growth rate {UNIT}", ylabel=f"imaginary part {UNIT}")
@@ -110,11 +106,9 @@ class FloquetOrbit(Result, multipliers.FloquetOrbit):
     SIZE = (5.4, 4.6)
 
     def lines(self) -> list[str]:
-        """Return a line for every number."""
         return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the multipliers in the complex plane; outside the unit circle a deviation grows."""
         circle = [2.0 * math.pi * share / 360.0 for share in range(361)]
         ax.plot([math.cos(angle) for angle in circle], [math.sin(angle) for angle in circle], color=PALE, lw=0.8)
         ax.plot(self.multipliers, [0.0] * len(self.multipliers), "o", color=STABLE)

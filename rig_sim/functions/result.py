@@ -103,7 +103,6 @@ class Result:
 
 
 def format_table(data: Mapping[str, Any]) -> list[str]:
-    """Return a line for every entry that has a value."""
     return [f"{key:11} {format_value(value, 15)}" for key, value in data.items() if has_value(value)]
 
 
@@ -122,5 +121,4 @@ def format_value(value: Any, digits: int = 6) -> str:
 
 
 def format_outcome(outcome: str, advice: str) -> str:
-    """Return the outcome of a motion with its advice."""
     return f"{outcome} ({advice})" if advice else outcome

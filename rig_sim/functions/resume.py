@@ -108,7 +108,6 @@ def reject_foreign(path: Path) -> InputError:
 
 
 def parse_line(line: bytes) -> dict[str, Any] | None:
-    """Return the object of a line; None without one."""
     try:
         row = json.loads(line)
     except (ValueError, RecursionError):

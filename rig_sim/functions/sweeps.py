@@ -64,11 +64,9 @@ class Sweep(Result):
     SIZE = (8.6, 5.6)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
         return {"parameter": self.parameter, "section": self.section, "rows": self.rows()}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return a row for each attractor at each value."""
         return [
             {
                 "parameter": row.value,
@@ -91,7 +89,6 @@ class Sweep(Result):
         return pd.DataFrame(list(self.rows()), columns=columns).astype(whole_or_none)
 
     def lines(self) -> list[str]:
-        """Return a line for each attractor at each value."""
         lines = [f"{self.parameter:>14}  attractor  share  period  points"]
         for row in self.attractors:
             few = ", ".join(f"{point:.6g}" for point in row.points[:4]) + (" ..." if len(row.points) > 4 else "")
@@ -104,7 +101,6 @@ class Sweep(Result):
         return lines
 
     def draw(self, ax: "Axes") -> None:
-        """Draw the points of every attractor over the parameter: a bifurcation diagram."""
         from rig_sim.dynamics.pictures.maps import draw_sweep
 
         draw_sweep(ax, self.attractors, self.parameter, self.ordinate)
@@ -263,7 +259,6 @@ def make_header(content: dict[str, Any], span: ParameterRange, section: str) -> 
 
 
 def read_finished(file: "ResumeFile") -> "dict[float, list[AttractorAt]]":
-    """Return the attractors by value from the file of ``resume``."""
     from rig_sim.dynamics.analyses.sweep import AttractorAt
 
     nan = float("nan")

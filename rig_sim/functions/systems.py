@@ -102,11 +102,9 @@ class SweptScene:
     key: str  # the free key, ``section.key``
 
     def with_value(self, value: float, **changes: object) -> Scene:
-        """Return the scene with this value of the key, and other changes."""
         return scene(self.scene, **{**changes, self.key: value})
 
     def flow(self, value: float) -> "Flow":
-        """Return the flow of one mass at a value of the key."""
         return self.with_value(value).flow()
 
 
@@ -118,7 +116,6 @@ class TwoMassAttractors:
     section: str
 
     def __call__(self, value: float) -> "list[AttractorAt]":
-        """Return the attractors, the largest basin first."""
         from rig_sim.dynamics.return_maps.section import attractors_at
 
         return attractors_at(lambda key_value: self.swept.with_value(key_value).two_mass_flow(), self.section, value)
@@ -132,7 +129,6 @@ class DrivenAttractors:
     section: str
 
     def __call__(self, value: float) -> "list[AttractorAt]":
-        """Return the attractors, the one with the most starts first."""
         from rig_sim.dynamics.analyses.settling import find_attractors
         from rig_sim.dynamics.analyses.sweep import AttractorAt
         from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
@@ -153,7 +149,6 @@ class CustomAttractors:
     system_at: "Callable[[float], FormulaMap]"
 
     def __call__(self, value: float) -> "list[AttractorAt]":
-        """Return the attractors of its start, and of starts all over its interval, the most frequent first."""
         import numpy as np
 
         from rig_sim.dynamics.analyses.settling import find_attractors

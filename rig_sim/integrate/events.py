@@ -127,7 +127,6 @@ def read_numbers(buffer: Any, count: int) -> list[float]:
 
 
 def read_kinds(buffer: Any, count: int) -> list[str]:
-    """Return the kinds of the first ``count`` codes of a list or an array."""
     part = buffer[:count]
     if isinstance(part, list):
         return [modes.KINDS[int(code)] for code in part]
@@ -143,7 +142,6 @@ def kind_names() -> Any:
 
 
 def new_lists(capacity: int, *, compiled: bool) -> Lists:
-    """Return the lists of ``capacity`` events for `run`, interpreted or compiled."""
     t, carry, x, kind = (zeros(capacity, compiled=compiled) for _ in range(4))
     return Lists(t, carry, x, kind, capacity)
 

@@ -78,7 +78,6 @@ def roots(zeta: float, omega2: float, disc: float) -> tuple[float, float, float]
 
 
 def velocity(free: FreeMotion, tau: float) -> float:
-    """Return w (m/s) at local time ``tau`` (s)."""
     S, E, _ = fundamental(free.zeta, free.omega2, free.disc, tau)
     return free.w + free.a * S - free.u * E
 

@@ -70,7 +70,6 @@ class PairMotion:
 
     @property
     def steps(self) -> int:
-        """Integrator steps taken so far."""
         return int(self._work.steps)
 
     def rows(self, times: "list[float] | Array", kind: int, *, most: float = math.inf) -> Iterator[list[float]]:

@@ -122,7 +122,6 @@ class ScenePlayer:
         return v if self._swing is None else v + self._swing.speed(self.t)
 
     def _classify(self) -> int:
-        """Return the mode of the present state."""
         v = self._w + self.flow.v_belt
         if isinstance(self.flow, MemoryFlow):
             return memory.initial_mode(self.flow, v)
@@ -141,7 +140,6 @@ class ScenePlayer:
 
     @property
     def steps(self) -> int:
-        """Integrator steps taken so far."""
         return int(self._work.steps)
 
     def advance(self, until: float) -> bool:

@@ -113,7 +113,6 @@ class TwoMassPlayer:
 
     @property
     def steps(self) -> int:
-        """Integrator steps taken so far."""
         return self._motion.steps
 
     def columns(self, instants: Array) -> tuple[Array, ...]:

@@ -92,7 +92,6 @@ def check_together(scene: Scene, where: str) -> None:
 
 
 def _check_curve(friction: Friction, where: str) -> None:
-    """Refuse points that are not a friction curve, and keys of a curve together with a law."""
     if friction.law != 0:
         if friction.contact is not None:
             problem_text = f"friction.contact beside law {friction.law}, which has its own contact"
@@ -140,7 +139,6 @@ def _check_memory(scene: Scene, friction: Friction, where: str) -> None:
 
 
 def _check_formula(friction: Friction, where: str) -> None:
-    """Refuse a formula together with a law, missing parameters, and parameters named as keys of the section."""
     for key in ("law", "curve"):
         if getattr(friction, key) is not None:
             raise InputError(f"friction has both {key} and formula", where, "keep one")

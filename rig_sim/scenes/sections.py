@@ -105,7 +105,6 @@ class Friction(Section):
         return law_or_curve(self.law if isinstance(self.law, int) else 0)
 
     def memory_law(self) -> MemoryLaw | None:
-        """Return the law with memory; None for any other."""
         return MEMORY_LAWS[self.law] if isinstance(self.law, str) else None
 
     def memory_parameters(self) -> dict[str, float | None]:
@@ -118,7 +117,6 @@ class Friction(Section):
         }
 
     def parse_formula(self) -> Formula | None:
-        """Return the formula; None for a law."""
         return None if self.formula is None else Formula.parse(self.formula)
 
     def formula_values(self) -> dict[str, float]:

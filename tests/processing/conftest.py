@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.runfile.recording import Recording, Truth
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Truth
 from stickslip.units import Measured
 
 from ..rig import Contact, follow

@@ -14,7 +14,7 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
-from daq.runfile.recording import Truth
+from daq.runfile.run_data import Truth
 from processing import stage
 from processing.cli import app
 from stickslip.console import application

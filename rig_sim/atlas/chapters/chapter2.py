@@ -37,7 +37,6 @@ def find_orbit(law: int) -> Orbit:
 
 @cache
 def list_first_events(law: int) -> tuple[Event, ...]:
-    """Return the events of the motion from (0, 0)."""
     return events(base_case(law), 10.0).events
 
 
@@ -65,7 +64,6 @@ def read_numbers(orbit: Orbit) -> dict[str, Any]:
 
 
 def draw_history(law: int) -> Computed:
-    """Return the time histories under a law."""
     t, x, v, f = play_motion("base", UNTIL, RATE, (("friction.law", law),))
     belt = Trace(t[[0, -1]], np.full(2, belt_speed(law)), "belt", "dashed", None)
     sticks = "  in stick the line is the load that friction balances" if LAWS[law].contact == "jump" else ""

@@ -175,7 +175,6 @@ def line_spacing() -> float:
 
 
 def draw_portrait(method: str) -> Computed:
-    """Return the phase portrait as estimated by a method."""
     run = record_runs()[method]
     later = run.t > 1.0
     landings, slips = find_turns(record_runs()["sg"])
@@ -190,7 +189,6 @@ def draw_portrait(method: str) -> Computed:
 
 
 def draw_signals() -> Computed:
-    """Return the signals of the encoder, and the counts made of them."""
     t = np.linspace(0.0, 1.0, 4001)
     edges = np.where(t < 0.5, 35.0 * t, 35.0 * (1.0 - t))  # x4 counts: up, then down
     levels = levels_of(np.floor(edges))

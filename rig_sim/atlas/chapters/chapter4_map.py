@@ -55,7 +55,6 @@ def sweep_speeds() -> tuple[AttractorAt, ...]:
 
 @cache
 def find_special_speed(kind: str, low: float, high: float) -> float:
-    """Return the belt velocity of a special point of the map between two others."""
     points = map_continuation(map_at, np.linspace(low, high, 5).tolist()).points
     (speed,) = [point.value for point in points if point.kind == kind]
     return speed
@@ -70,7 +69,6 @@ def sweep_second_attractor() -> tuple[AttractorAt, ...]:
 
 
 def trace_points(rows: Iterable[AttractorAt], label: str, colour: int) -> Trace:
-    """Return the points of rows of a diagram."""
     rows = list(rows)
     x = np.concatenate([np.full(len(row.points), row.value) for row in rows])
     y = np.concatenate([row.points for row in rows])
@@ -197,7 +195,6 @@ def count_fixed_points(speed: float, low: float, high: float) -> str:
 
 
 def draw_secant() -> Computed:
-    """Return the secant that gives the slope of the map."""
     f, low, high = map_at(EXPONENT_SPEEDS[0]), 0.04, 0.2
     d, step = 0.08, 0.02
     x = np.array([d, d + step])
@@ -222,7 +219,6 @@ def running_exponent(speed: float) -> Array:
 
 
 def draw_exponents() -> Computed:
-    """Return attractor 2 over the belt velocity, and running means of its exponent at three velocities."""
     count = np.arange(1.0, ITERATIONS + 1)
     means = [running_exponent(speed) for speed in EXPONENT_SPEEDS]
     exponents = [

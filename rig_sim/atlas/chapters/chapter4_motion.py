@@ -33,7 +33,6 @@ def play_columns(until: float, changes: tuple[tuple[str, float], ...]) -> tuple[
 
 
 def play_masses(changes: dict[str, float], until: float) -> tuple[Array, ...]:
-    """Return the motion of the two masses with changes."""
     return play_columns(until, tuple(changes.items()))
 
 
@@ -83,7 +82,6 @@ def draw_friction_curves() -> Computed:
 
 
 def draw_history(mass: int, of_velocity: bool) -> Computed:
-    """Return velocity or displacement of a mass in time."""
     t, x1, v1, _, x2, v2, _ = play_masses(CHAOTIC, 150.0)
     drawn = ((x1, v1), (x2, v2))[mass - 1][of_velocity]
     curves = [Trace(t, drawn)]

@@ -50,7 +50,6 @@ def find_unstable_orbit(c: float) -> FloquetOrbit:
 
 @cache
 def find_special_points() -> dict[str, float]:
-    """Return the damping of each special point."""
     return {point.kind: point.value for point in continuation(flow_at, np.linspace(0.2, STRONGEST, 4)).points}
 
 
@@ -60,7 +59,6 @@ def find_special_damping(kind: str) -> float:
 
 
 def play(c: float, x: float, v: float, until: float) -> tuple[Array, Array]:
-    """Return x and v of a motion from a start."""
     changes = (("damper.c", c), ("belt.speed", SPEED), ("start.x", x), ("start.v", v))
     _, x_played, speed, _ = play_motion("damped", until, 100.0, changes)
     return x_played, speed
@@ -104,7 +102,6 @@ def draw_undamped() -> Computed:
 
 
 def draw_increasing() -> Computed:
-    """Return phase portraits with growing damping."""
     panels = tuple(
         draw_portrait(c, starts, 40.0, f"({letter}) c = {c:g}", False) for letter, (c, starts) in PORTRAITS.items()
     )
@@ -129,7 +126,6 @@ def find_end(c: float, x: float) -> str:
 
 
 def draw_around_fold() -> Computed:
-    """Return stick-slip orbit, unstable orbit and fixed point around the fold."""
     dampings = {"a": 0.38, "b": 0.45, "c": 0.55, "d": 0.6}
     panels = tuple(draw_portrait(c, (), 1.0, f"({letter}) c = {c:g}", True) for letter, c in dampings.items())
     has = ("no" if find_unstable_orbit(c).period is None else "yes" for c in dampings.values())

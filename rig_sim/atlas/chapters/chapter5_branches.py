@@ -43,7 +43,6 @@ def compute_branches() -> Continuation:
 
 
 def find_unstable_peak(orbit: FloquetOrbit, c: float) -> float:
-    """Return the largest velocity on an unstable orbit."""
     if orbit.x_min is None or orbit.period is None:
         return math.nan
     return float(play(c, orbit.x_min, 0.0, orbit.period)[1].max())
@@ -112,7 +111,6 @@ def make_complex_plane(traces: tuple[Trace, ...], title: str, x_range: tuple[flo
 
 
 def draw_multipliers() -> Computed:
-    """Return the Floquet multipliers of the unstable orbit at four dampings."""
     fold = find_special_damping("fold")
     panels, second_multipliers = [], {}
     for letter, printed in MULTIPLIERS.items():

@@ -76,7 +76,6 @@ def sweep_frequencies() -> tuple[AttractorAt, ...]:
 
 
 def draw_bifurcations() -> Computed:
-    """Return the positions of break-away over the drive frequency."""
     rows = [row for row in sweep_frequencies() if row.points]
     x = np.concatenate([np.full(len(row.points), row.value) for row in rows])
     y = np.concatenate([row.points for row in rows])
@@ -102,17 +101,14 @@ def draw_bifurcations() -> Computed:
 
 @cache
 def compute_dither() -> Quench:
-    """Return whether the fast drive quenches the stick-slip, and its threshold."""
     return quench(flow_at(FAST[1], FAST[0]), 0.0, 0.0)
 
 
 def drive_changes(setting: tuple[float, float]) -> tuple[tuple[str, float], ...]:
-    """Return the changes of a scene for an amplitude and a frequency."""
     return ("drive.u0", setting[0]), ("drive.omega", setting[1])
 
 
 def draw_quenched(of_velocity: bool) -> Computed:
-    """Return displacement or velocity under a slow and under a fast drive."""
     traces: list[Trace] = []
     for setting, name in ((SLOW, "unquenched"), (FAST, "quenched")):
         t, x, v, _ = play_motion("forced", 120.0, 50.0, drive_changes(setting))

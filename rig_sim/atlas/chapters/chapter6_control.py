@@ -28,7 +28,6 @@ ORBITS = {2: (1.6, 0.0006), 5: (1.1, 0.0047)}  # by period: the drive's frequenc
 
 
 def trace_curve(curve: ShakerCurve, label: str, colour: int, dashed: bool = False) -> Trace:
-    """Return a curve of the plane, with a gap where its phase passes 2 pi."""
     jumps = np.flatnonzero(np.abs(np.diff(curve.phi)) > math.pi) + 1
     phi, a = np.insert(curve.phi, jumps, np.nan), np.insert(curve.a, jumps, np.nan)
     return Trace(phi, a, label, "dashed" if dashed else "line", colour)
@@ -98,7 +97,6 @@ def lock_motion(period: int) -> tuple[LandingMap, Locking, SearchAndLock]:
 
 
 def find_lock(period: int) -> Lock:
-    """Return the motion under control."""
     lock = lock_motion(period)[1].lock
     if lock is None:
         raise RuntimeError(f"no orbit of period {period}")
@@ -106,13 +104,11 @@ def find_lock(period: int) -> Lock:
 
 
 def sample_landings(period: int, first: int, last: int) -> tuple[Array, Array, Array]:
-    """Return t, x, v of the controlled motion between two of its landings."""
     f, lock = lock_motion(period)[0], find_lock(period)
     return f.sample_motion(lock.states[first:last], lock.changes[first:last], SAMPLES / f.period)
 
 
 def draw_lock_portrait(period: int) -> Computed:
-    """Return the phase portrait of an orbit under control, and of the motion before."""
     lock, locking = find_lock(period), lock_motion(period)[1]
     start, end = lock.events_to_lock or 0, len(lock.changes)
     _, x_before, v_before = sample_landings(period, max(start - BEFORE, 0), start)
@@ -124,7 +120,6 @@ def draw_lock_portrait(period: int) -> Computed:
 
 
 def draw_perturbation(period: int) -> Computed:
-    """Return the change of the drive's amplitude from landing to landing."""
     lock, searched, (_, printed) = find_lock(period), lock_motion(period)[2], ORBITS[period]
     count = np.arange(1.0, len(lock.changes) + 1.0)
     limit = np.full(2, printed)

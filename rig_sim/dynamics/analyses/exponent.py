@@ -95,7 +95,6 @@ def passages_per_period(passages: Passages, scale: Array) -> int | None:
 
 
 def rotation_number(passages: Passages) -> float:
-    """Return the mean time from passage to passage (drive periods)."""
     return smooth_mean(np.diff(passages.times))
 
 

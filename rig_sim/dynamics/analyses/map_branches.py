@@ -129,7 +129,6 @@ def interpolate_orbit(
 def slope_excess(
     map_at: MapAt, span: tuple[float, float], old: PeriodicPoint, new: PeriodicPoint, value: float
 ) -> float | None:
-    """Return the slope of an orbit plus 1."""
     orbit = interpolate_orbit(map_at, span, old, new, value)
     return None if orbit is None else orbit.slope + 1.0
 

@@ -22,12 +22,10 @@ class PeriodicPoint:
 
     @property
     def period(self) -> int:
-        """Number of points."""
         return len(self.points)
 
     @property
     def stable(self) -> bool:
-        """Whether deviations shrink."""
         return abs(self.slope) < 1.0
 
 
@@ -78,7 +76,6 @@ def find_orbits_between(f: OnInterval, period: int, x: Array, iterate: Array) ->
 
 
 def orbit_slope(f: OnInterval, orbit: Array) -> float:
-    """Return the product of the slopes at every point of an orbit."""
     return float(np.prod(slope(f, orbit)))
 
 

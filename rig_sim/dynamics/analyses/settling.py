@@ -123,7 +123,6 @@ def find_attractors(f: ReturnMap, starts: Iterable[Array], value: float) -> list
 
 
 def is_same(first: Settled, second: Settled, scale: Array) -> bool:
-    """Return whether two motions have settled on the same attractor."""
     a, b = first.states / scale, second.states / scale
     apart = np.max(np.abs(a[:, None, :] - b[None, :, :]), axis=2)
     if first.period is None and second.period is None:

@@ -36,7 +36,6 @@ class UnstableOrbit:
 
     @property
     def period(self) -> int:
-        """Number of points."""
         return len(self.points)
 
     @property

@@ -130,7 +130,6 @@ def find_unstable_mode(orbit: UnstableOrbit) -> UnstableMode:
 
 
 def wait_for_stable_orbit(f: Controlled, orbit: UnstableOrbit, start: Array, events: int) -> Lock:
-    """Return the uncontrolled motion until it stays near a stable orbit."""
     states = [start]
     near = 0
     while len(states) <= events and near < HELD:

@@ -27,9 +27,7 @@ NEARLY_CLOSED = 8
 class HasFlow(Protocol):
     """A scene, or anything else with a flow."""
 
-    def flow(self) -> Flow:
-        """Return the flow, without its random parts."""
-        ...
+    def flow(self) -> Flow: ...
 
 
 @dataclass(frozen=True)

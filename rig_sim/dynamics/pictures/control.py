@@ -44,7 +44,6 @@ PHASES, LEVELS = 721, 501  # points of the shaded region in phase and amplificat
 
 
 def draw_dither(axes: "Axes", flow: Flow, x: float, v: float) -> None:
-    """Draw a motion with and without its drive over time."""
     oscillation, period = 2.0 * math.pi * math.sqrt(flow.m / flow.k), 2.0 * math.pi / abs(flow.omega)
     samples = min(math.ceil(OSCILLATIONS * oscillation / min(oscillation, period) * SAMPLES), MOST_SAMPLES)
     times = np.linspace(0.0, OSCILLATIONS * oscillation, samples)
@@ -88,7 +87,6 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
 
 
 def draw_landings(axes: "Axes", lock: Lock | None) -> None:
-    """Draw the landings of a motion under control, one after the other, and the start of the lock."""
     if lock is not None:
         axes.plot(lock.states[:, -1], ".", ms=3, color="#0072B2")
         if lock.events_to_lock is not None:

@@ -85,7 +85,6 @@ class LandingMap(FormulaMap):
         return landing.state, None, landing.duration / self.period
 
     def find_landing(self, state: Array, change: float = 0.0) -> Landing:
-        """Return the next landing after the one at ``state``."""
         return self._follow_to_landing(State(self._mode, state[1], self._edge, state[0] % self.period), change)
 
     def first_landing(self, x: float, v: float) -> Landing:

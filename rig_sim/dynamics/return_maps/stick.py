@@ -180,7 +180,6 @@ class StickMap:
         return StickMap(self.flow, FINE, budget=self._budget).images(x, times)
 
     def growth_at(self, x: Array) -> Array:
-        """Return the logarithms of the slopes' sizes at each x, shape (n,)."""
         return growth_at(self, x)
 
     def motion(self, start: Array) -> IntervalMotion:

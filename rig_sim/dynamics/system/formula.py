@@ -89,7 +89,6 @@ class FormulaMap:
         raise NotImplementedError("a FormulaMap defines step(self, state, change=0.0)")
 
     def after(self, state: Array, change: float = 0.0) -> Array:
-        """Return the state that follows, (d,), with the parameter changed by ``change``; NaN where there is none."""
         return self._step_within_interval(state, change)[0]
 
     def _step_within_interval(self, state: Array, change: float = 0.0) -> tuple[Array, Any, float]:
@@ -103,18 +102,15 @@ class FormulaMap:
         return np.asarray(values, dtype=np.float64).reshape(self.scale.shape)
 
     def motion(self, start: Array) -> "FormulaMotion":
-        """Return the motion from a state, (d,)."""
         return FormulaMotion(self, self._state(start))
 
     def images(self, x: Array, times: int = 1) -> Array:
-        """Return the ``times``-th iterate of each x, shape (n,); NaN outside the interval."""
         images = np.array(x, dtype=np.float64)
         for _ in range(times):
             images = np.array([self.after(images[i : i + 1])[0] for i in range(len(images))])
         return images
 
     def slopes(self, x: Array) -> Array:
-        """Return the derivative of a map of one coordinate at each x, shape (n,)."""
         states = np.asarray(x, dtype=np.float64).reshape(-1, 1)
         return np.array([self.slope_at(state, self.step(state)[1])[0, 0] for state in states])
 
@@ -125,7 +121,6 @@ class FormulaMap:
         return np.reshape(jacobian, (len(state), len(state))) * self.scale / self.scale[:, None]
 
     def orbit(self, start: float, number: int) -> Array:
-        """Return f(start), f(f(start)) ..., shape (number,)."""
         orbit = np.empty(number)
         state = np.array([start], dtype=np.float64)
         for i in range(number):
@@ -142,7 +137,6 @@ class FormulaMotion:
         self._direction = np.full(len(start), 1.0 / math.sqrt(len(start)))
 
     def follow(self, number: int, *, tangent: bool = False) -> Passages:
-        """Return the next ``number`` passages; fewer where the map has no next state."""
         f, scale = self.system, self.system.scale
         times, states, growth = np.empty(number), np.empty((number, len(scale))), np.full(number, math.nan)
         for i in range(number):
@@ -159,6 +153,5 @@ class FormulaMotion:
         return Passages(times, states, growth, OUTCOMES[COMPLETED])
 
     def draw_points(self, number: int) -> Array:
-        """Return the first coordinate of the next ``number`` states."""
         drawn: Array = self.follow(number).states[:, 0]
         return drawn

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import daq
-from daq.finalise import clock_sync
 from daq.finalise import run as finalise
 from daq.finalise.quality import RecordingQuality
 from daq.runfile import journal, spill
 from daq.runfile.spill import Spill
+from daq.stream import clock as clock_sync
 from daq.wire import frames as wire
 
 

@@ -9,7 +9,8 @@ import pytest
 
 import daq
 from daq.cli.app import app
-from daq.imports import source, tdms, workbook
+from daq.imports.formats import columns as format_columns
+from daq.imports.formats import tdms, workbook
 from stickslip.console import application
 from stickslip.errors import InputError
 from stickslip.units import Measured
@@ -278,7 +279,7 @@ def test_what_a_count_is_is_stated_once(tmp_path, given, words):
 
 # Files that are damaged, incomplete, or need what is not there.
 def test_a_library_that_is_missing_is_named_with_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setattr(source, "find_spec", lambda name: None)
+    monkeypatch.setattr(format_columns, "find_spec", lambda name: None)
     for path, module in ((programs.xlsx(tmp_path / "t.xlsx", columns()), workbook), (tmp_path / "t.tdms", tdms)):
         path.touch()
         with pytest.raises(InputError, match=re.escape("pip install 'stickslip[formats]'")):

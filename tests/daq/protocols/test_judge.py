@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from daq import protocols
-from daq.protocols import session
+from daq.protocols.session import decode_whole
 
 # Header, interval in us, and a line of a time in us and a count.
 FORMS = {
@@ -54,17 +54,16 @@ def reads_of(form, damaged, n):
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("piece", [1, 900])
-def test_the_pieces_of_lines_make_no_difference(form, piece, damaged, monkeypatch):
+def test_the_pieces_of_lines_make_no_difference(form, piece, damaged):
     header, period, _ = FORMS[form]
     header = header | {"rate_hz": 1e6 / period}
     backend = protocols.load(header["protocol"])
     reads = reads_of(form, damaged, 600)
-    whole = backend.decode(reads, header)
+    whole = decode_whole(backend, reads, header)
     assert len(whole.n) > 400
     assert len(whole.crc_frame) > 20
     assert len(whole.idents) >= 2
-    monkeypatch.setattr(session, "PIECE_BYTES", piece)
-    pieces = list(backend.decode_pieces(reads, header))
+    pieces = list(backend.decode_pieces(reads, header, piece))
     assert len(pieces) > 3
     before = np.cumsum([0, *(len(piece.n) for piece in pieces)])
     for field in fields(whole):

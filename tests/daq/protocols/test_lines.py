@@ -14,7 +14,7 @@ from daq.protocols import session as session_module
 from daq.protocols.line_parser import LineParser
 from daq.protocols.lines import NoSample
 from daq.protocols.request import RecordRequest
-from daq.protocols.session import Plan
+from daq.protocols.session import Plan, decode_whole
 from stickslip.errors import DeviceError, InputError
 
 RATE = 500
@@ -57,7 +57,7 @@ def form(request):
 
     def decode(data, cut=4096):
         reads = [(at, data[at : at + cut]) for at in range(0, len(data), cut)]
-        return protocols.load(header["protocol"]).decode(reads, header)
+        return decode_whole(protocols.load(header["protocol"]), reads, header)
 
     return request.param, line, decode, period_s
 
@@ -83,7 +83,7 @@ def test_lines_are_read_however_the_bytes_are_cut(name, cuts):
         for size in cuts:
             reads.append((at, data[at : at + size]))
             at += size
-    stream = protocols.load(header["protocol"]).decode(reads, header)
+    stream = decode_whole(protocols.load(header["protocol"]), reads, header)
     assert stream.crc_errors == 0
     assert len(stream.ticks) >= 59  # of text, the first line may have lost its beginning and is left out
     assert np.array_equal(counts(stream), true_counts(stream, period_s))
@@ -94,7 +94,7 @@ def test_lines_are_read_however_the_bytes_are_cut(name, cuts):
 def test_garbage_never_raises_and_costs_at_most_one_line_more(name, garbage):
     line, header, period_s = FORMS[name]
     data = garbage + b"\n!" + b"".join(map(line, range(100, 140)))
-    stream = protocols.load(header["protocol"]).decode([(0, data)], header)
+    stream = decode_whole(protocols.load(header["protocol"]), [(0, data)], header)
     good = set(range(102, 140))  # resynchronised within two lines
     found = set((stream.ticks[counts(stream) == true_counts(stream, period_s)]).tolist())
     ticks_of = (lambda k: k) if name == "qsb" else (lambda k: 2000 * k + 7)
@@ -129,13 +129,13 @@ def test_a_million_corrupted_bytes_are_survived(form, damaged):
     ("damage", "field"), [(b"s0E0000053", "count"), (b"s0F", "register"), (b"r0E", "kind"), (b"", "empty")]
 )
 def test_a_qsb_record_of_another_shape_is_no_sample(damage, field):
-    stream = qsb.decode([(0, qsb_line(1) + damage + b"!\n" + qsb_line(3))], {"rate_hz": 512.0})
+    stream = decode_whole(qsb, [(0, qsb_line(1) + damage + b"!\n" + qsb_line(3))], {"rate_hz": 512.0})
     assert stream.ticks.tolist() == [1, 3]
 
 
 def test_a_qsb_in_any_reply_format_is_read():
     data = b"s0E0000000500000001!\r\ns 0E 00000006 00000002 !\ns0effffffff00000003!"
-    stream = qsb.decode([(0, data)], {"rate_hz": 512.0})
+    stream = decode_whole(qsb, [(0, data)], {"rate_hz": 512.0})
     assert counts(stream).tolist() == [5, 6, -1]
 
 
@@ -143,7 +143,7 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
     lines = [qsb_line(k) for k in range(200)]
     lines[100] = b"s0E" + b"00100000" + lines[100][11:]
     lines[150] = lines[150][:11] + b"00010096" + lines[150][19:]
-    stream = qsb.decode([(0, b"".join(lines))], {"rate_hz": 512.0})
+    stream = decode_whole(qsb, [(0, b"".join(lines))], {"rate_hz": 512.0})
     assert stream.crc_errors == 1
     assert stream.crc_frame.tolist() == [100]
     assert np.array_equal(counts(stream), motion(stream.ticks))
@@ -234,7 +234,7 @@ def test_a_labelled_line_is_read_by_its_labels(declared, line, row):
 @pytest.mark.parametrize("shape", ["t=%d,pos=%d\n", "time: %d, count: %d, temp: 21.5\n"])
 def test_damaged_labelled_lines_are_found(shape, damaged):
     lines, touched = damaged([(shape % (2000 * k + 7, motion(k))).encode() for k in range(8000)], 5)
-    stream = text.decode([(0, b"".join(lines))], {"columns": None, "rate_hz": 500.0})
+    stream = decode_whole(text, [(0, b"".join(lines))], {"columns": None, "rate_hz": 500.0})
     k = (stream.ticks - 7) / 2000
     right = (k == np.round(k)) & (counts(stream) == motion(np.round(k)))
     assert np.count_nonzero(~right) <= 0.016 * len(touched)  # what passes of plain lines, by this damage
@@ -247,7 +247,7 @@ def test_a_label_that_changes_is_damage():
     lines = [b"us=%d,pos=%d\n" % (2000 * k, k) for k in range(100)]
     lines[40] = lines[40][1:]
     lines[60] = lines[60].replace(b"pos", b"Pos")
-    stream = text.decode(list(enumerate(lines)), {"columns": None, "rate_hz": 500.0})
+    stream = decode_whole(text, list(enumerate(lines)), {"columns": None, "rate_hz": 500.0})
     assert stream.stamp_ns.tolist() == [k for k in range(1, 100) if k not in (40, 60)]
     assert np.array_equal(stream.ticks, 2000 * stream.stamp_ns)
 
@@ -439,7 +439,7 @@ def test_sound_lines_are_read_together(declared, monkeypatch):
 @pytest.mark.parametrize("declared", SHAPES)
 def test_lines_of_every_shape_are_read(declared):
     sent = np.arange(400)
-    stream = text.decode([(0, b"".join(map(SHAPES[declared], sent)))], {"columns": declared, "rate_hz": 500.0})
+    stream = decode_whole(text, [(0, b"".join(map(SHAPES[declared], sent)))], {"columns": declared, "rate_hz": 500.0})
     k = sent[1:]  # the first line may have lost its beginning
     assert stream.crc_errors == 0
     assert np.array_equal(counts(stream), k if declared == "t_us,up,down" else motion(k))
@@ -508,7 +508,7 @@ def test_a_reset_is_a_restart_however_long_the_sketch_was_up(uptime_s):
     # The step back of a clock of 32 bits is a step ahead after 36 minutes.  It used to be taken for a gap: 1.3 million
     # lost samples, beyond the end of the run, and the recording ended at once.
     reads = lines_of_a_reset(uptime_s, 0.3)
-    stream = text.decode(reads, {"columns": "t_us,count", "rate_hz": 500.0})
+    stream = decode_whole(text, reads, {"columns": "t_us,count", "rate_hz": 500.0})
     assert stream.idents.tolist() == [1999]  # the first line of all is left out
     assert stream.seq[1998:2001].tolist() == [1998, 0, 1]
     sketch = text.session(Sketch(text_line), "fake", RecordRequest(columns="t_us,count"))
@@ -525,7 +525,7 @@ def test_lines_that_a_stalled_host_reads_late_are_no_restart():
     k = np.concatenate((np.arange(1000), np.arange(1000, 1200), np.arange(11_000, 12_000)))
     came_s = np.where((k >= 1000) & (k < 1200), 22.0, k / 500 + 0.001)
     reads = [(int(1e9 * s), text_line(each)) for s, each in zip(came_s.tolist(), k.tolist(), strict=True)]
-    stream = text.decode(reads, {"columns": "t_us,count", "rate_hz": 500.0})
+    stream = decode_whole(text, reads, {"columns": "t_us,count", "rate_hz": 500.0})
     assert len(stream.idents) == 0
     assert int(stream.seq[-1]) == 11_999 - 1
 

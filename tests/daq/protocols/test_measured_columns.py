@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from daq.protocols import session as session_module
@@ -111,6 +111,7 @@ ALIKE = {
     st.lists(st.sampled_from([0, 1, -1, 999, -999, 123456, -(10**9), 2**31 - 1, 2**31]), min_size=1, max_size=40),
     st.integers(1, 3000),
 )
+@example(1531, 0.3, [0], 222)  # a damaged line number with a sign passed among others
 @pytest.mark.parametrize("declared", ALIKE)
 def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, share, numbers, cut):
     fast, slow = (text.make_reader(text.parse_columns(declared)) for _ in range(2))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from daq.protocols import text
+from daq.protocols.session import decode_whole
 
 COUNTS_PER_S = 0.22 / 7.67e-6  # of the belt
 
@@ -60,7 +61,7 @@ def decoded(lines, name):
     """Return the stream, and the number of the line that each sample came from: a line is a read."""
     period, _, unit = TIMERS[name]
     header = {"columns": "ms,count" if unit == "ms" else "t_us,count", "rate_hz": 1e6 / period}
-    stream = text.decode(list(enumerate(lines)), header)
+    stream = decode_whole(text, list(enumerate(lines)), header)
     return stream, stream.stamp_ns
 
 
@@ -107,7 +108,7 @@ def one_line_changed(change):
     sent = [(2000 * k + 7, int(np.floor(20_000 * np.sin(0.005 * k)))) for k in range(200)]
     time, count = change(*sent[90])
     lines = [b"%d,%d\n" % (row if k != 90 else (time, count)) for k, row in enumerate(sent)]
-    return text.decode([(0, b"".join(lines))], {"columns": "t_us,count", "rate_hz": 500.0}), sent
+    return decode_whole(text, [(0, b"".join(lines))], {"columns": "t_us,count", "rate_hz": 500.0}), sent
 
 
 def test_one_wrong_digit_in_a_count_is_found():
@@ -129,7 +130,7 @@ def test_a_line_with_a_wrong_time_keeps_its_count(off):
 def test_a_line_that_comes_twice_is_no_late_one():
     lines = [b"%d,%d\n" % (k, 30 * k) for k in range(200)]
     lines.insert(100, lines[100])
-    stream = text.decode([(0, b"".join(lines))], {"columns": "ms,count", "rate_hz": 1000.0})
+    stream = decode_whole(text, [(0, b"".join(lines))], {"columns": "ms,count", "rate_hz": 1000.0})
     assert np.count_nonzero(np.diff(stream.ticks) == 0) == 1  # left out by `counters.FrameOrder`
     assert not stream.time_error.any()
 
@@ -143,5 +144,5 @@ def test_jitter_kicks_jumps_and_gaps_are_no_damage(noise):
     count = np.floor(np.cumsum(speed)).astype(int) + 500 * (k > 9000)  # and a cog that slipped
     sent = (k % 997 != 5) & (k // 40 != 77)
     data = b"".join(b"%d,%d\n" % row for row in zip(time[sent].tolist(), count[sent].tolist(), strict=True))
-    stream = text.decode([(0, data)], {"columns": "t_us,count", "rate_hz": 500.0})
+    stream = decode_whole(text, [(0, data)], {"columns": "t_us,count", "rate_hz": 500.0})
     assert stream.crc_errors <= 1e-4 * k.size * (noise > 0)

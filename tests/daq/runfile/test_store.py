@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from daq.runfile import nexus, schema, store, tree
-from daq.runfile.recording import EVENTS, Raw, Recording, Truth, positions
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import EVENTS, Raw, Truth, positions
 from stickslip.errors import InputError
 from stickslip.output.lock import FileLock
 from stickslip.units import Measured

@@ -46,7 +46,6 @@ def test_the_longest_safe_gap_is_the_counters_range_over_the_rate():
 def placed(seq, ticks, n, ticks_per_sample, restarts):
     """Return the order of frames that come in one piece."""
     order = counters.FrameOrder(ticks_per_sample)
-    order.survey(seq, ticks, n, restarts)
     return order.place(seq, ticks, n, restarts)
 
 

@@ -17,8 +17,9 @@ from daq.cli import settings
 from daq.imports import capture, replay, sigrok, table_to_run
 from daq.imports.options import ImportOptions, ProbeOptions
 from daq.runfile import listing, store
-from daq.runfile.recording import Raw, Recording
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Raw
 from processing import smoothing, stage
 from rig_sim.scenes.scene import BUILTIN_FOLDER, parse_changes, scene
 from stickslip.units import Measured

@@ -68,7 +68,7 @@ def payloads() -> tuple[list[bytes], ...]:
         samples.append(frames.encode_samples(block))
         truths.append(frames.encode_truth(TruthFrame(8 * k, [(k / 1e3, 0.1, 0.2, 0.3)] * 8)))
     lines = (list(map(frames.encode_ident, idents)), texts, samples, truths)
-    return tuple([payload for line in kind if (payload := frames.deframe(line.rstrip(b"\0")))] for kind in lines)
+    return tuple([payload for line in kind for payload in frames.FrameReader().read_payloads(line)] for kind in lines)
 
 
 def damaged_text(draw: random.Random, folder: Path) -> None:

@@ -9,8 +9,9 @@ import pytest
 
 from daq.cli import files
 from daq.runfile import store
-from daq.runfile.recording import Raw, Recording, positions
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Raw, positions
 from stickslip.console import application
 from stickslip.output import tables
 from stickslip.units import Measured

@@ -8,7 +8,7 @@ unknown; they are not changed, and there is a warning.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import protocols
+from daq.protocols import session
 from daq.runfile import journal
-from daq.runfile.recording import SentAs
 from daq.runfile.rig import Rig
-from daq.runfile.spill import Shelf, Spill
+from daq.runfile.run_data import SentAs
 from daq.wire import counters, decode
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
@@ -31,19 +31,18 @@ ERRORS_APART = 3.0
 COUNTER_BITS, TICK_NS = 16, 1000  # those of the firmware, for an implausible identification
 
 
-def decode_connections(recorded: journal.Journal, spill: Spill) -> list[Shelf[decode.Stream]]:
-    """Return the decoded stream of each connection, in pieces: a new one begins where the port was reopened.
+def decode_connections(recorded: journal.Journal) -> Iterator[Iterator[decode.Stream]]:
+    """Yield the decoded stream of each connection, in pieces: a new one begins where the port was reopened.
 
     Raises InputError if this version does not know the journal's protocol.
     """
     backend = protocols.load(recorded.header["protocol"], str(recorded.path))
-    shelves = []
-    for reads in _split_reads(recorded.records):
-        shelf: Shelf[decode.Stream] = Shelf(spill)
-        for stream in backend.decode_pieces(reads, recorded.header):
-            shelf.append(cut_at_leaps(replace_implausible(stream), float(recorded.header["rate_hz"])))
-        shelves.append(shelf)
-    return shelves
+    rate_hz = float(recorded.header["rate_hz"])
+    records = recorded.records
+    cuts = [number for number, kind in enumerate(records.kinds) if kind == journal.REOPENED]
+    for first, last in pairwise([0, *cuts, len(records)]):
+        pieces = backend.decode_pieces(_ConnectionReads(records, first, last), recorded.header, session.PIECE_BYTES)
+        yield (cut_at_leaps(replace_implausible(stream), rate_hz) for stream in pieces)
 
 
 def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
@@ -104,16 +103,6 @@ class _ConnectionReads:
         kinds = self.records.kinds
         received = (number for number in range(self.first, self.last) if kinds[number] == journal.RECEIVED)
         return ((record.stamp_ns, record.data) for record in self.records.at(received))
-
-
-def _split_reads(records: journal.Records) -> list[_ConnectionReads]:
-    cuts = [number for number, kind in enumerate(records.kinds) if kind == journal.REOPENED]
-    return [_ConnectionReads(records, first, last) for first, last in pairwise([0, *cuts, len(records)])]
-
-
-def first_ident(streams: Iterable[decode.Stream]) -> wire.Ident | None:
-    """Return the board's first identification, after `replace_implausible`."""
-    return next((ident for stream in streams if (ident := replace_implausible(stream).ident) is not None), None)
 
 
 def replace_implausible(stream: decode.Stream) -> decode.Stream:

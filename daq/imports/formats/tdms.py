@@ -11,25 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from daq.imports import source
-from daq.imports.matfile import MEMORY, SECONDS
-from daq.imports.source import Column, Source
+from daq.imports.formats.columns import Column, build_table, pack_columns, parse_isolated, require
+from daq.imports.formats.matfile import MEMORY, SECONDS
+from daq.imports.source import Source
 from daq.imports.table import Table
-from stickslip.errors import InputError
 
 SAVE = "export it as CSV"
 
 
 def read(path: Path) -> Table:
-    source.require("nptdms", path)
-    parsed = source.unpack(source.parse_isolated(_parse, path, 10 * SECONDS, 2 * MEMORY, "TDMS file", SAVE))
-    if not parsed.columns:
-        raise InputError("holds no channel of numbers", str(path), "give a file with times and positions in it")
-    return Table.of_columns(path, parsed, "TDMS")
+    require("nptdms", path)
+    message = parse_isolated(_parse, path, 10 * SECONDS, 2 * MEMORY, "TDMS file", SAVE)
+    return build_table(path, message, "TDMS", "channel of numbers")
 
 
 def _parse(path: Path) -> bytes:
-    return source.parse(_read_channels, path, "TDMS file", SAVE)
+    return pack_columns(_read_channels, path, "TDMS file", SAVE)
 
 
 def _read_channels(file: Source) -> tuple[str, list[Column]]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.imports import layout, source, table
+from daq.imports.formats.columns import parse_isolated, refuse_unreadable, require
 from daq.imports.table import Table
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
@@ -28,8 +29,8 @@ DAY_US = 86_400_000_000
 def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = silent) -> Table:
     """Read a sheet of a workbook; without ``sheet`` the only one with a table."""
     where = str(path)
-    source.require("openpyxl", path)
-    answer = json.loads(source.parse_isolated(_parse, path, SECONDS, MEMORY, "workbook", SAVE))
+    require("openpyxl", path)
+    answer = json.loads(parse_isolated(_parse, path, SECONDS, MEMORY, "workbook", SAVE))
     sheets: dict[str, list[tuple[int, str]]] = answer["sheets"]
     tables = [name for name, lines in sheets.items() if sum(_is_row(line) for _, line in lines) >= FEWEST_ROWS]
     if sheet is None:
@@ -62,7 +63,7 @@ def _parse(path: Path) -> bytes:
     from openpyxl import load_workbook
 
     file = source.read(path, "give the workbook in it")
-    with source.refuse_unreadable("workbook", path, SAVE), warnings.catch_warnings():
+    with refuse_unreadable("workbook", path, SAVE), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about extensions that hold no cells
         unpacked = sum(entry.file_size for entry in zipfile.ZipFile(io.BytesIO(file.data)).infolist())
         source.check_bytes(unpacked, str(path))

@@ -15,11 +15,11 @@ from typing import Any, cast
 import numpy as np
 
 from daq.imports import source
-from daq.imports.source import Column, Source
+from daq.imports.formats.columns import Column, build_table, pack_columns, parse_isolated
+from daq.imports.source import Source
 from daq.imports.table import HDF5, Table
 from daq.runfile.trust import refuse_external_link, refuse_stored_elsewhere
 from stickslip.compute.arrays import Array
-from stickslip.errors import InputError
 
 SAVE = "save it again in MATLAB: save('FILE.mat', '-v7')"
 # CPU time of the child and, beyond that of Python itself, its memory: 4 million numbers take 0.2 s and 70 MB.
@@ -28,14 +28,12 @@ MATLAB_HEADER = 512  # bytes before the HDF5 of a file of version 7.3
 
 
 def read(path: Path) -> Table:
-    parsed = source.unpack(source.parse_isolated(_parse, path, SECONDS, MEMORY, "MATLAB file", SAVE))
-    if not parsed.columns:
-        raise InputError("holds no vector of real numbers", str(path), "give a file with times and positions in it")
-    return Table.of_columns(path, parsed, "MATLAB")
+    message = parse_isolated(_parse, path, SECONDS, MEMORY, "MATLAB file", SAVE)
+    return build_table(path, message, "MATLAB", "vector of real numbers")
 
 
 def _parse(path: Path) -> bytes:
-    return source.parse(_read_columns, path, "MATLAB file", SAVE)
+    return pack_columns(_read_columns, path, "MATLAB file", SAVE)
 
 
 def _read_columns(file: Source) -> tuple[str, list[Column]]:

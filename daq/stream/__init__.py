@@ -1,0 +1,1 @@
+"""One forward pass over what boards sent: connections, one time axis, counts that are checked, clocks."""
