@@ -26,8 +26,8 @@ class LawFlags:
     law: Annotated[
         list[str] | None,
         _repeated(
-            "One more law: a published one (stribeck, stribeck-gaussian, either with -viscous, logarithmic, power), or "
-            "'NAME: FORMULA', friction per unit mass at slip speed s."
+            "One more law: a published one (stribeck, stribeck-gaussian, either with -viscous, logarithmic, power; "
+            "with memory: lugre, dahl, ageing, slip), or 'NAME: FORMULA', friction per unit mass at slip speed s."
         ),
     ] = None
     ramp: Annotated[list[str] | None, _repeated("Put the law of this name behind a ramp.")] = None

@@ -38,6 +38,7 @@ import numpy as np
 from rig_sim.friction.formula import SPEED, Formula
 from rig_sim.friction.law import LAWS, NESTED
 from rig_sim.friction.law import Law as Kind
+from rig_sim.friction.memory import MEMORY_LAWS
 from stickslip import units
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError, check_known, nearest
@@ -84,6 +85,16 @@ def in_unit(value: Any, unit: str, name: str, where: str) -> Any:
     return units.in_unit(value, unit, name, where) if isinstance(value, str) else value
 
 
+# Of the parameters of a law with memory, per unit mass: powers of friction and of speed (`Law.dimensions`).
+POWERS = {"force": (1, 0), "stiffness": (2, -2), "damping": (1, -1), "length": (-1, 2), "speed": (0, 1)}
+IN_NEWTONS = {"force": "N", "stiffness": "N/m", "damping": "N s/m"}  # those that are per unit mass in a fit
+VISCOUS = "s2"  # of bristles: only its sum with the damping is determined, so it is counted as damping
+OF_MEMORY = {
+    name: {own: POWERS[about.dimension] for own, about in law.parameters.items() if own != VISCOUS}
+    for name, law in MEMORY_LAWS.items()
+}
+
+
 @dataclass(frozen=True)
 class Law:
     """A friction curve as a formula of the slip speed.
@@ -96,6 +107,8 @@ class Law:
         As `rig_sim.friction.formula` reads it.
     ramp : bool
         Whether slip begins beyond a ramp, as under laws 2, 4 and 6; else friction jumps.
+    rate : str
+        Rate z' of the state of a published law with memory, whose ``formula`` is friction of steady slip; else empty.
     start : mapping of str to float or str, optional
         First values of parameters, as text with a unit (``"30 mm/s"``) or in SI; those left out are found.
     bounds : mapping of str to (low, high), optional
@@ -120,6 +133,7 @@ class Law:
     name: str
     formula: str
     ramp: bool = field(default=False, kw_only=True)
+    rate: str = field(default="", kw_only=True)
     start: Mapping[str, float] | None = field(default=None, kw_only=True, hash=False)
     bounds: Mapping[str, Bound] | None = field(default=None, kw_only=True, hash=False)
     fix: Mapping[str, float] | None = field(default=None, kw_only=True, hash=False)
@@ -130,7 +144,9 @@ class Law:
             raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
         if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
-        known = self.curve.parameters
+        if self.rate and self.name not in OF_MEMORY:
+            raise InputError(f"law {self.name} has a rate", "rate", f"only these have: {', '.join(OF_MEMORY)}")
+        known = self.parameters
         if not known:
             raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
         for kind in ("start", "bounds", "fix"):
@@ -157,6 +173,10 @@ class Law:
         return Formula.parse(self.formula)
 
     @property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(OF_MEMORY[self.name]) if self.rate else self.curve.parameters
+
+    @property
     def number(self) -> int | None:
         return int(self.name) if self.name.isdecimal() else None
 
@@ -166,6 +186,8 @@ class Law:
 
     @property
     def words(self) -> str:
+        if self.rate:
+            return MEMORY_LAWS[self.name].title
         return LAWS[self.number].name if self.number else self.name.replace("-", " ")
 
     @property
@@ -184,13 +206,15 @@ class Law:
 
     def contains(self, other: "Law") -> bool:
         """Return whether the other law is a limit of this one; the limits of a formula are on either contact."""
+        if self.rate:
+            return other.name in MEMORY_LIMITS[self.name]
         if self.number:
             return other.number in NESTED[self.number]
         return self.name in ABOUT and other.formula in ABOUT[self.name].limits
 
     @property
     def free(self) -> tuple[str, ...]:
-        return tuple(name for name in self.curve.parameters if name not in (self.fix or {}))
+        return tuple(name for name in self.parameters if name not in (self.fix or {}))
 
     @cached_property
     def dimensions(self) -> dict[str, tuple[int, int]]:
@@ -198,6 +222,8 @@ class Law:
 
         Euler's theorem on homogeneous functions: sum a_j p_j df/dp_j = f and sum b_j p_j df/dp_j + s df/ds = 0.
         """
+        if self.rate:
+            return OF_MEMORY[self.name]
         rng = np.random.default_rng(len(self.formula))
         names = self.curve.parameters
         rows, level, fall = [], [], []
@@ -226,6 +252,8 @@ class Law:
 
     def unit(self, name: str, *, newtons: bool = False) -> str:
         """Return the unit of a parameter, per unit mass unless ``newtons``; empty if unknown."""
+        if self.rate and newtons and self.mass_power(name):
+            return IN_NEWTONS[MEMORY_LAWS[self.name].parameters[name].dimension]
         force, speed = self.dimensions.get(name, (0, 0))
         if newtons and force == 1:
             return {0: "N", -1: "N s/m"}.get(speed) or f"N (m/s)^{speed}"
@@ -233,6 +261,12 @@ class Law:
         powers = sorted((("m", force + speed), ("s", -2 * force - speed)), key=lambda part: -part[1])
         composed = " ".join(f"{base}^{power}" if power != 1 else base for base, power in powers if power)
         return words.get((force, speed), composed)
+
+    def mass_power(self, name: str) -> int:
+        """Return the power of the mass by which a parameter per unit mass is one in newtons."""
+        if self.rate:
+            return int(MEMORY_LAWS[self.name].parameters[name].dimension in IN_NEWTONS)
+        return self.dimensions.get(name, (0, 0))[0]
 
     def limits(self, name: str) -> tuple[float, float]:
         low, high = (self.bounds or {}).get(name, (None, None))
@@ -242,7 +276,7 @@ class Law:
         """Raise InputError for a curve without the slip speed, unless it is one level: its name may be misspelt."""
         names = self.curve.parameters
         meant = next((name for name in names if SPEED_WORDS.fullmatch(name)), None)
-        if any(step.name == SPEED for step in self.curve.steps) or (meant is None and len(names) == 1):
+        if self.rate or any(step.name == SPEED for step in self.curve.steps) or (meant is None and len(names) == 1):
             return
         hint = "write s for it; law 1 is constant friction" if meant is None else f"did you mean {SPEED} for {meant}?"
         raise InputError(f"law {self.name} does not depend on the slip speed {SPEED}", "formula", hint)
@@ -315,20 +349,42 @@ PUBLISHED = {
 }
 
 
+# Laws with memory (`rig_sim.friction.memory`): friction of steady slip, and the rate of the state z.
+STEADY = "F0 + (a - b)*log(s/v0)"
+GAUGE = 1.0  # m/s, of v0: F0 is friction of steady slip at that speed
+MEMORY = {
+    name: Law(
+        name,
+        formula,
+        rate=rate,
+        bounds=dict.fromkeys(OF_MEMORY[name], (0.0, None)),
+        fix={"v0": GAUGE} if "v0" in OF_MEMORY[name] else None,
+    )
+    for name, formula, rate in (
+        ("lugre", GAUSSIAN, f"s - s0*s*z/({GAUSSIAN})"),
+        ("dahl", "Fc", "s - s0*s*z/Fc"),
+        ("ageing", STEADY, "v0/D*exp(-z) - s/D"),
+        ("slip", STEADY, "-s/D*(log(s/v0) + z)"),
+    )
+}
+NAMED = PUBLISHED | MEMORY
+MEMORY_LIMITS = {"lugre": ("stribeck-gaussian", "dahl", "1"), "dahl": ("1",), "ageing": (), "slip": ()}
+
+
 def read_law(spec: str, where: str = "--law") -> Law:
     """Return the law of ``NAME``, published, or ``NAME: FORMULA``."""
     name, colon, formula = (part.strip() for part in spec.partition(":"))
     if not colon:
-        if name in PUBLISHED:
-            return PUBLISHED[name]
+        if name in NAMED:
+            return NAMED[name]
         if re.fullmatch(r"[\d\s,-]+", name):
             raise InputError(f"{name!r} is a number of a law, not a name", where, f"did you mean --laws {name}?")
-        do = f'{nearest(name, list(PUBLISHED))}; a law of your own is "NAME: FORMULA", such as "mine: Fs/(1 + s/v)"'
+        do = f'{nearest(name, list(NAMED))}; a law of your own is "NAME: FORMULA", such as "mine: Fs/(1 + s/v)"'
         raise InputError(f"{name!r} is no published law", where, do)
-    if name in PUBLISHED and formula != PUBLISHED[name].formula:
-        what = f"{name} is the name of a published law, {PUBLISHED[name].formula}"
+    if name in NAMED and formula != NAMED[name].formula:
+        what = f"{name} is the name of a published law, {NAMED[name].formula}"
         raise InputError(what, where, "give a law of your own another name")
-    return PUBLISHED.get(name) or Law(name, formula)
+    return NAMED.get(name) or Law(name, formula)
 
 
 DRAWS = 4  # sets of values at which parameters have to be dependent
@@ -486,7 +542,7 @@ class Competitors:
         named = _each_once([*_read(laws, "--laws"), *map(read_law, law)])
         behind = list(ramp)
         for name in behind:
-            check_known(name, [one.name for one in named if not one.number], "law", "--ramp")
+            check_known(name, [one.name for one in named if not (one.number or one.rate)], "law", "--ramp")
         return cls(
             tuple(one.behind_ramp() if one.name in behind else one for one in named),
             dict(_pairs(fix, "--fix")),  # type: ignore[arg-type]
@@ -522,7 +578,7 @@ class Competitors:
                 own_name = _named(name, law)
                 if own_name is not None:
                     given_of[own_name] = _with(given_of.get(own_name, Given()), kind, value)
-        own_names = () if law.number else law.curve.parameters
+        own_names = () if law.number else law.parameters
         for name, one in given_of.items():
             plain = "" if name in own_names else name.removesuffix(PER_MASS)
             _check(name, one, *LEAST_VALUES.get(plain, (-math.inf, True)))
@@ -563,8 +619,8 @@ class Competitors:
 
 def units_of(law: Law) -> dict[str, str]:
     """Return the unit in the results of each parameter that can be given."""
-    own = {name: law.unit(name, newtons=True) for name in law.curve.parameters}
-    per_mass = {f"{name}{PER_MASS}": law.unit(name) for name in own if law.dimensions.get(name, (0, 0))[0]}
+    own = {name: law.unit(name, newtons=True) for name in law.parameters}
+    per_mass = {f"{name}{PER_MASS}": law.unit(name) for name in own if law.mass_power(name)}
     ramp = ({"d": "m/s"} | ({"static": ""} if law.number else {})) if law.ramp else {}
     return {**OF_EVERY_LAW, **ramp, **per_mass, **own}
 

@@ -22,7 +22,7 @@ from fitting.judge.parameters import (
     correlations,
     in_columns,
 )
-from fitting.laws import ABOUT, PUBLISHED
+from fitting.laws import ABOUT, MEMORY, PUBLISHED
 from fitting.record.cycles import CycleSegmentation
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
@@ -77,7 +77,8 @@ class _Row:
         document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
         document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
         more = {"orbit_distance": "orbit", "cpu_s": "cpu_s", "fitted": "fitted", "reason": "reason"}
-        return document | {key: getattr(self, name) for key, name in more.items()}
+        rate = {"rate": MEMORY[str(self.law)].rate} if self.law in MEMORY else {}
+        return document | {key: getattr(self, name) for key, name in more.items()} | rate
 
     def as_form(self) -> dict[str, Any]:
         """Return a published law as a row of `Ranking.published`."""

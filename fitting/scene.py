@@ -92,7 +92,10 @@ class FittedRig:
     def keys(self) -> dict[str, str]:
         """The key of each parameter of the law in a scene, none of them reserved."""
         keys: dict[str, str] = {}
-        parameters = self.curve.law.curve.parameters if self.curve.law is not None else ()
+        law = self.curve.law
+        parameters = law.parameters if law is not None else ()
+        if law is not None and law.rate:
+            return dict(zip(parameters, parameters, strict=True))
         for name in parameters:
             key = name
             while key in OWN_KEYS or (key != name and key in parameters):
@@ -148,7 +151,7 @@ class FittedRig:
         u, theta, _ = self.fit.task.split(self.q(unknowns))
         for name, value in self.curve.values(theta, u).items():
             force, speed = (0, 0) if law is None else law.dimensions.get(name, (0, 0))
-            size = m**force if self.sized else 1.0
+            size = m ** (0 if law is None else law.mass_power(name)) if self.sized else 1.0
             scene[f"friction.{self.keys[name]}"] = value * size * length ** (force + speed)
         if self.points.size:
             forces = m * self.friction(unknowns, self.points)
@@ -172,6 +175,8 @@ class FittedRig:
             return {"law": law.number}
         text, scene = law.curve.renamed({a: b for a, b in self.keys.items() if a != b}).text, self.scene(self.unknowns)
         fixed = {key: scene[f"friction.{key}"] for name, key in self.keys.items() if name not in self.free}
+        if law.rate:
+            return {"law": law.name} | fixed
         return {"formula": text if self.sized else f"{scene['mass.m']!r}*({text})"} | fixed
 
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from fitting.judge.parameters import BreakAway
-from fitting.model.path import follow
 from fitting.model.unknowns import PER_CYCLE, Global, PerCycle
 from fitting.model.windows import ShootingWindows
 from fitting.record.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
@@ -43,8 +42,14 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
 
 
 def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
-    """Return times, s, and friction over Fs/m; the search begins where the load reaches the next slip's level."""
+    """Return times, s, and friction over Fs/m; the search begins where the load reaches the next slip's level.
+
+    Under a law with memory a slip begins gradually: as the smoothed motion shows it.
+    """
     count = len(fit.cycles)
+    if fit.law.rate:
+        best = np.array([cycle.break_away for cycle in fit.cycles])
+        return best, _friction(fit, best, np.interp(best, motion.time, motion.position)) / fit.values.F
     earliest = np.array([_reaches_level(fit, motion, k) for k in range(count)])
     latest = np.array([float(motion.time[cycle.slip[0]]) for cycle in fit.cycles])
     low, high = earliest, np.maximum(latest, earliest)
@@ -168,14 +173,13 @@ def motion_at(fit: Fit, time: Array) -> tuple[Array, Array]:
     with_asked = replace(
         windows, table=table, time=times[order], position=nothing, source=nothing.astype(np.int64), rows=(), parts=()
     )
-    curve = fit.curve_on_path
-    path = None if curve is None else follow(with_asked, curve, fit.u, fit.local)
-    if path is None:
+    motion = fit.motion_in(with_asked)
+    if motion is None:
         raise RuntimeError("the motion of a fit can be followed")
     back = np.empty(times.size, np.int64)
-    back[order] = path.reached
+    back[order] = np.arange(times.size)
     found = np.full((2, flat.size), np.nan)
-    found[:, inside] = np.array([path.position, path.velocity])[:, back[windows.time.size :]]
+    found[:, inside] = motion[:, back[windows.time.size :]]
     return found[0].reshape(asked.shape), found[1].reshape(asked.shape)
 
 

@@ -44,7 +44,7 @@ def with_given(runs: Sequence[Run], competitors: Competitors) -> list[Run]:
         law.name: {
             name: given
             for name, given in competitors.of_law(law).items()
-            if law.number or name.removesuffix(PER_MASS) not in law.curve.parameters
+            if law.number or name.removesuffix(PER_MASS) not in law.parameters
         }
         for law in competitors.laws
     }
@@ -65,9 +65,9 @@ def formula_given(law: Law, given: Mapping[str, Given], motion: MeasuredMotion) 
     fix, bounds, start = {}, {}, {}
     for name, own in given.items():
         plain = name.removesuffix(PER_MASS)
-        if plain not in law.curve.parameters:
+        if plain not in law.parameters:
             continue
-        power = 0 if name.endswith(PER_MASS) else law.dimensions.get(plain, (0, 0))[0]
+        power = 0 if name.endswith(PER_MASS) else law.mass_power(plain)
         factor = _newtons(plain, motion) ** -power if power else 1.0
         if own.fixed:
             fix[plain] = factor * own.low

@@ -27,6 +27,7 @@ from fitting.model.unknowns import PER_RUN, Global
 from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
+from fitting.search.memory import fit_memory
 from fitting.search.passes import finish
 from stickslip.errors import InputError
 
@@ -149,8 +150,10 @@ def fit_formulas(
     for law in _candidates(competitors, curve, six):
         asked = competitors.asks(law)
         fit: Fit | str = "the friction curve could not be measured"
-        if curve is not None:
-            fit = _fit(law, curve, [*six, *fits], asked=asked)
+        if law.rate:
+            fit = fit_memory(law, six[0].problem.runs)
+        elif curve is not None:
+            fit = _fit(law, curve, [*six, *(other for other in fits if not other.law.rate)], asked=asked)
         if isinstance(fit, str):
             missing.append(Unfitted(law, fit, asked))
             logger.info("law %s was not fitted: %s", law.name, fit)

@@ -486,12 +486,12 @@ PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spr
 def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
     """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
 
-    None where no slip is judged, nothing slips, or even Fs would not be detected.
+    None where no slip is judged, nothing slips, or even Fs would not be detected, and for a law with memory.
     """
     motions, width = fit.problem.motions, fit.values.d if fit.problem.ramp else 0.0
     speeds = zip(fit.u[Global.V_DR :: PER_RUN], motions, strict=True)
     fastest = max(float(belt - motion.velocity.min()) - width for belt, motion in speeds)
-    if fastest <= 0:
+    if fastest <= 0 or fit.law.rate:
         return (None,) * len(slips)
     waves = partial(_respond, fit, fastest, max(motion.travel for motion in motions))
     parts = [

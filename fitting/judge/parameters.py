@@ -27,12 +27,12 @@ import numpy as np
 from fitting.distributions import student_quantile
 from fitting.least_squares.levenberg_marquardt import linearise
 from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, scaled_inverse
+from fitting.model.curves import LawCurve
 from fitting.model.problem import datum_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.windows import Wear
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
-from fitting.search.formula import FormulaCurve
 from stickslip.compute.arrays import Array, Integers, autocorrelation_time
 from stickslip.units import Measured
 
@@ -522,16 +522,16 @@ def _table(fit: Fit, motion: MeasuredMotion, known: Known) -> Iterator[tuple[Der
 def _own_rows(fit: Fit, motion: MeasuredMotion) -> Iterator[tuple[Derived, Measured | None]]:
     """Yield a formula's parameters, those with friction in their unit per unit mass and as a force."""
     law, curve = fit.law, fit.task.curve
-    if not isinstance(curve, FormulaCurve):
+    if isinstance(curve, LawCurve):
         return
     scale = motion.mass or motion.stiffness
     unknown = {name for group in curve.together for name in group.names}
-    for name in law.curve.parameters:
-        force, speed = law.dimensions.get(name, (0, 0))
+    for name in law.parameters:
+        (force, speed), power = law.dimensions.get(name, (0, 0)), law.mass_power(name)
         by_log = name in curve.free and bool(curve.by_log[curve.free.index(name)])
         fixed = name in (law.fix or {})
         row = Derived(
-            f"{name}/m" if force else name,
+            f"{name}/m" if power else name,
             law.unit(name),
             partial(_of_formula, name=name),
             0 if fixed else force + speed,
@@ -541,11 +541,11 @@ def _own_rows(fit: Fit, motion: MeasuredMotion) -> Iterator[tuple[Derived, Measu
             fixed=fixed,
         )
         yield row, None
-        if not force:
+        if not power:
             continue
-        in_newtons = partial(_of_formula, name=name, stretched=force if scale is motion.stiffness and scale else 0)
+        in_newtons = partial(_of_formula, name=name, stretched=power if scale is motion.stiffness and scale else 0)
         unit = law.unit(name, newtons=scale is not None)
-        yield row._replace(name=name, unit=unit, formula=in_newtons, follows=True, power=force), scale
+        yield row._replace(name=name, unit=unit, formula=in_newtons, follows=True, power=power), scale
 
 
 def _of_formula(p: Values, own: Own, name: str, stretched: int = 0) -> float:

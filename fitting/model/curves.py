@@ -70,8 +70,10 @@ class CurveCoordinates:
 class FrictionCurve(ABC):
     law: Law | None = None  # none of a free curve
     free: tuple[str, ...] = ()  # the names of theta
+    by_log: Array = np.empty(0)  # which of them are fitted by their logarithm
     together: tuple[Undetermined, ...] = ()  # parameters that a formula has only together
     kind = ""  # "constant", "linear", "hyperbolic" of the six that their own kernels follow
+    model: "type | None" = None  # that of `fitting.model.predict` which predicts its positions; None for `Model`
     ramp: bool  # whether slip begins beyond a ramp of half-width d, a shared unknown
     size: int  # how many numbers theta it has
     # (size,) of theta: where a fit starts, means and 1/sd^2 of the priors (0 where nothing is known), bounds

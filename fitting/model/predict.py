@@ -60,6 +60,16 @@ class Task:
         """Return the same with shared unknowns fixed at the regression."""
         return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
 
+    def predict(
+        self,
+        windows: ShootingWindows,
+        longest_step: float,
+        near: Path | None = None,
+        count: Array | None = None,
+    ) -> "Model":
+        model: type[Model] = self.curve.model or Model
+        return model(self, windows, longest_step, near, count)
+
     @property
     def resolution(self) -> float:
         return max(motion.resolution for motion in self.problem.motions)
@@ -187,6 +197,13 @@ class Model:
             return None
         acting, _ = self._acting(sizes)
         return follow(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
+
+    def motion_in(self, windows: ShootingWindows, q: Array, local: Array, run: int | None) -> Array | None:
+        """Return positions, m, and velocities, m/s, (2, N) in windows of all runs, or of one."""
+        u, theta, _ = self.task.split(q)
+        curve, own = self._curve(q, theta), u if run is None else u[PER_RUN * run : PER_RUN * (run + 1)]
+        path = None if curve is None else follow(windows, curve, own, local)
+        return None if path is None else np.array([path.position, path.velocity])[:, path.reached]
 
     def residual(self, q: Array, local: Array) -> Array | None:
         if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):

@@ -441,8 +441,15 @@ class EstimationProblem:
         if not thinned:
             return ShootingWindows.join([run.windows for run in self.runs])
         return ShootingWindows.join(
-            [ShootingWindows.from_cycles(run.motion, run.cut.used, thinned_to(run)) for run in self.runs]
+            [
+                ShootingWindows.from_cycles(run.motion, run.cut.used, own)
+                for run, own in zip(self.runs, self.thinning, strict=True)
+            ]
         )
+
+    @property
+    def thinning(self) -> list[Thinning]:
+        return [thinned_to(run) for run in self.runs]
 
     @property
     def ramp(self) -> bool:

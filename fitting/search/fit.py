@@ -282,6 +282,10 @@ class Fit:
         found = None if curve is None else positions(windows, curve, self.u, local)
         return None if found is None else found - windows.position
 
+    def motion_in(self, windows: ShootingWindows) -> Array | None:
+        """Return positions, m, and velocities, m/s, (2, N) in windows of the fit; None where it cannot be followed."""
+        return self.model.motion_in(windows, self.q, self.local, self.run)
+
     def level_trend(self, run: int = 0) -> Wear | None:
         return of_cycles(self.windows, self.inlier_cycles, self.local, run)
 

@@ -21,7 +21,7 @@ from fitting.model import flow, unknowns
 from fitting.model.curves import LawCurve
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.problem import cycle_starts, thinned_to, with_static
+from fitting.model.problem import cycle_starts, with_static
 from fitting.model.unknowns import PER_RUN, RIPPLE, Global
 from fitting.model.windows import SampleNodes
 from fitting.search.fit import Fit, PassNoise
@@ -79,7 +79,7 @@ def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> F
     begun = clock.process_time()
     windows = task.problem.windows(thinned=True)
     noise = assumed_noise(task) if noise is None else noise
-    at = _one_pass(Model(task, windows, flow.SEARCH_STEP), start, noise, SEARCH, FIRST_DAMPING)
+    at = _one_pass(task.predict(windows, flow.SEARCH_STEP), start, noise, SEARCH, FIRST_DAMPING)
     if at is None:
         return None
     return replace(_with_noise(at, first=True), cpu_s=clock.process_time() - begun)
@@ -114,7 +114,7 @@ def settle(at: Fit, noise_m: Array | None = None) -> Fit | None:
 
 
 def _searched(at: Fit) -> Fit | None:
-    model = Model(at.task, at.windows, flow.SEARCH_STEP, at.model.near)
+    model = at.task.predict(at.windows, flow.SEARCH_STEP, at.model.near)
     return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
 
 
@@ -210,8 +210,8 @@ def _whole(
 ) -> Fit | None:
     noise = settled.for_last_pass
     whole = task.problem.windows(thinned=False)
-    nodes = SampleNodes.of(whole, [thinned_to(run) for run in task.problem.runs])
-    every, sparse = Model(task, whole, flow.LONGEST_STEP), Model(task, nodes.windows, flow.LONGEST_STEP)
+    nodes = SampleNodes.of(whole, task.problem.thinning)
+    every, sparse = task.predict(whole, flow.LONGEST_STEP), task.predict(nodes.windows, flow.LONGEST_STEP)
     for model in (every, sparse):
         model.settle(*start, FOLLOWED)
     residual, there = every.residual(*start), sparse.residual(*start)
@@ -219,7 +219,7 @@ def _whole(
         return None
     seen = nodes.seen(there + nodes.windows.position, residual)
     path = None if sparse.near is None else replace(sparse.near, windows=seen)
-    seen_by = Model(task, seen, flow.LONGEST_STEP, path, nodes.count)
+    seen_by = task.predict(seen, flow.LONGEST_STEP, path, nodes.count)
     last = _one_pass(seen_by, start, noise, WHOLE, LATER_DAMPING, below_belt=below_belt)
     if last is None:
         return None
@@ -340,7 +340,7 @@ def find_overtaking(at: Fit) -> Mask:
     cycles = np.flatnonzero(asked)
     problem = at.task.problem.with_overtaking(asked)
     task, windows = replace(at.task, problem=problem), problem.windows(thinned=True)
-    part = least_squares_problem(Model(task, windows, at.model.longest_step), at.noise, at.q).of_cycles(at.q, cycles)
+    part = least_squares_problem(task.predict(windows, at.model.longest_step), at.noise, at.q).of_cycles(at.q, cycles)
     if part is None:
         return overtaking
     fresh = cycle_starts(windows, problem.motions, problem.cycles, at.u)[cycles]

@@ -261,6 +261,8 @@ def _other_break_away(competition: Competition) -> list[Finding]:
         return []  # a mass that merely grazes the belt does not break away from rest
     motion, found = competition.runs[0].motion, []
     for fit in competition.fits:
+        if fit.law.rate and fit.law.key in competition.compatible:
+            return []  # its motion contains the break-aways
         if fit.law.key in competition.compatible:
             runs = [
                 BreakAways(

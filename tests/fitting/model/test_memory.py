@@ -1,0 +1,139 @@
+"""Fits of laws with memory to records of rig_sim: the true parameters, as well as the study of design 17 knew them."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import fitting
+import rig_sim
+from daq.runfile.rig import Rig
+from fitting.laws import MEMORY
+from fitting.least_squares.normal_equations import SchurComplement
+from fitting.model import memory
+from fitting.model.problem import Run
+from fitting.record import cycles
+from fitting.record.motion import from_kinematics
+from fitting.search.memory import fit_memory
+from processing.smoothing import smooth
+from rig_sim.scenes.scene import validate_content
+from stickslip.units import Measured
+
+from ... import rig as own_rig
+
+MASS, STIFFNESS, DAMPING, NOISE, RATE = 0.3, 10.5, 0.015, 1e-5, 250.0
+STATE = {"F0": 1.2, "a": 0.03, "b": 0.105, "v0": 0.1}
+CONTACTS = {  # newtons
+    "lugre": {"s0": 1.5e4, "s1": 67.2, "Fc": 0.6, "Fs": 1.35, "v_s": 0.1},
+    "ageing": STATE | {"D": 2e-3},
+    "slip": STATE | {"D": 5e-3},
+}
+# Standard errors at this noise in the study: of k/m, 1/s^2, and relative ones of the parameters.
+STUDY = {
+    "lugre": {"k/m": 0.006, "s0": 0.003, "s1": 0.006, "v_s": 0.0007},
+    "ageing": {"k/m": 0.008, "D": 0.00129, "a": 0.0045},
+    "slip": {"k/m": 0.007, "D": 0.0012},
+}
+
+
+@cache
+def record_of(law, seed=3, speed=0.22):
+    content = {
+        "name": "contact",
+        "seed": seed,
+        "mass": {"m": MASS},
+        "spring": {"k": STIFFNESS},
+        "damper": {"c": DAMPING},
+        "belt": {"speed": speed},
+        "friction": {"law": law, **CONTACTS[law]},
+        "start": {"x": 0.05, "v": 0.0},
+        "scatter": {"Fs": 0.02},
+    }
+    motion = rig_sim.run(validate_content(content, "contact"), until=30.0, rate=RATE)
+    position = motion.x[:-1] + NOISE * np.random.default_rng(seed).standard_normal(motion.x.size - 1)
+    rig = Rig(
+        name="rig",
+        mass=Measured(MASS, 1e-3 * MASS),
+        datum=Measured(0.0, 1e-4),
+        damping=Measured(DAMPING, 0.1 * DAMPING),
+    )
+    return own_rig.as_recording(np.arange(position.size) / RATE, position, RATE, rig, law), rig
+
+
+@cache
+def run_of(law, seed=3, speed=0.22):
+    record, rig = record_of(law, seed, speed)
+    seen = from_kinematics(smooth(record), rig, None)
+    return Run(seen, cycles.segment_cycles(seen))
+
+
+def truth(law):
+    """Return the parameters per unit mass, and F0 at the speed that the fit holds, 1 m/s."""
+    values = {name: value if name in ("v_s", "D", "v0") else value / MASS for name, value in CONTACTS[law].items()}
+    if "F0" in values:
+        values["F0"] += (values["b"] - values["a"]) * np.log(values["v0"])
+    return values
+
+
+@pytest.mark.parametrize("law", CONTACTS)
+def test_a_law_with_memory_gives_its_parameters_from_positions(law):
+    fit = fit_memory(MEMORY[law], [run_of(law)])
+    assert fit.whole
+    assert fit.outcome == "converged"
+    assert fit.geometric_mean_rms == pytest.approx(NOISE, rel=0.03)
+    sd = np.sqrt(np.diag(SchurComplement(fit.solution.blocks).covariance))
+    assert abs(fit.q[0] - STIFFNESS / MASS) < 3 * sd[0]
+    assert sd[0] == pytest.approx(STUDY[law]["k/m"], rel=0.25)
+    p, true = len(fit.places), truth(law)
+    for name, theta, own in zip(fit.task.curve.free, fit.theta, sd[p:], strict=True):
+        assert abs(theta - np.log(true[name])) < 3 * own, name
+        if name in STUDY[law]:
+            assert own == pytest.approx(STUDY[law][name], rel=0.25), name
+
+
+@pytest.mark.parametrize("law", CONTACTS)
+def test_derivatives_over_kept_steps_are_those_of_the_motion(law):
+    task, start = memory.memory_tasks(MEMORY[law], [run_of(law)])[0]
+    p, true = len(task.places), truth(law)
+    model = task.predict(task.problem.windows(thinned=True), 1.0)
+    q = np.concatenate([start.q[:p], np.log([true[name] for name in task.curve.free])])
+    q[0] = STIFFNESS / MASS
+    found = model.all_derivatives(q, start.local).columns()
+    for j, size in enumerate(model.sizes(q)):
+        step = (1e-5 if j < p else 1e-3) * size
+        beside = [model.residual(q + sign * step * (np.arange(q.size) == j), start.local) for sign in (1.0, -1.0)]
+        expected = (beside[0] - beside[1]) / (2 * step)
+        assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
+
+
+def test_two_belt_speeds_tell_a_from_b():
+    runs = [run_of("ageing", seed, speed) for seed, speed in ((3, 0.22), (4, 0.12))]
+    alone, both = fit_memory(MEMORY["ageing"], runs[:1]), fit_memory(MEMORY["ageing"], runs)
+    errors, true = [], truth("ageing")
+    for fit in (alone, both):
+        p, covariance = len(fit.places), SchurComplement(fit.solution.blocks).covariance
+        for name, theta, variance in zip(fit.task.curve.free, fit.theta, np.diag(covariance)[p:], strict=True):
+            assert abs(theta - np.log(true[name])) < 3 * np.sqrt(variance), name
+        errors.append(np.sqrt(np.diag(covariance)[p + fit.task.curve.free.index("a")]))
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_a_belt_that_slows_under_load_is_not_modelled_with_memory():
+    run = run_of("lugre")
+    slowing = replace(run, motion=replace(run.motion, compliance=Measured(0.1, 0.01)))
+    assert "slows" in fit_memory(MEMORY["lugre"], [slowing])
+
+
+@pytest.mark.parametrize("law", CONTACTS)
+def test_a_requested_law_with_memory_wins_and_its_scene_is_played(law, tmp_path):
+    ranking = fitting.rank(record_of(law)[0], laws=["1-6", law])
+    assert ranking.members == (law,)
+    row = ranking.best
+    assert row.as_json()["rate"] == MEMORY[law].rate
+    for name, value in CONTACTS[law].items():
+        if name not in ("F0", "v0"):
+            assert abs(row.parameters[name].value - value) < 4 * row.parameters[name].stderr, name
+    ranking.save_scene(tmp_path / "fitted.toml")
+    played = rig_sim.run(tmp_path / "fitted.toml", until=20.0, rate=RATE)
+    assert np.ptp(played.x[-2500:]) == pytest.approx(np.ptp(ranking.motion.measured), rel=0.1)
