@@ -542,7 +542,9 @@ class Competitors:
         named = _each_once([*_read(laws, "--laws"), *map(read_law, law)])
         behind = list(ramp)
         for name in behind:
-            check_known(name, [one.name for one in named if not (one.number or one.rate)], "law", "--ramp")
+            if name in MEMORY:
+                raise InputError(f"law {name} has memory, and no ramp", "--ramp", "leave it out")
+            check_known(name, [one.name for one in named if not one.number], "law", "--ramp")
         return cls(
             tuple(one.behind_ramp() if one.name in behind else one for one in named),
             dict(_pairs(fix, "--fix")),  # type: ignore[arg-type]

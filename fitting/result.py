@@ -166,6 +166,8 @@ class LawResult(_Row):
         """The law in a sentence."""
         if self.formula is None:
             return f"law {self.law} ({self.name})"
+        if self.law in MEMORY:
+            return f"{self.name} (law {self.law})"
         about = ABOUT.get(str(self.law))
         return f"law {self.law} ({self.formula})" if about is None else f"{about.title} (law {self.law})"
 
