@@ -351,14 +351,14 @@ PUBLISHED = {
 
 # Laws with memory (`rig_sim.friction.memory`): friction of steady slip, and the rate of the state z.
 STEADY = "F0 + (a - b)*log(s/v0)"
-GAUGE = 1.0  # m/s, of v0: F0 is friction of steady slip at that speed
 MEMORY = {
     name: Law(
         name,
         formula,
         rate=rate,
         bounds=dict.fromkeys(OF_MEMORY[name], (0.0, None)),
-        fix={"v0": GAUGE} if "v0" in OF_MEMORY[name] else None,
+        # m/s, a gauge: F0 is the friction of steady slip at that speed
+        fix={"v0": 1.0} if "v0" in OF_MEMORY[name] else None,
     )
     for name, formula, rate in (
         ("lugre", GAUSSIAN, f"s - s0*s*z/({GAUSSIAN})"),

@@ -53,7 +53,14 @@ class _Law:
 
     def _of(self, side: Ranking, wanted: Callable[[str], bool]) -> dict[str, Parameter]:
         parameters = side.row(self.row.law).parameters
-        return {name.replace("/", "_over_"): item for name, item in parameters.items() if wanted(name)}
+        return {_field_name(name): item for name, item in parameters.items() if wanted(name)}
+
+
+def _field_name(name: str) -> str:
+    """Return a parameter's name as NeXus allows it: "(Fs - b)/m" is Fs_minus_b_over_m."""
+    for sign, word in {"/": "_over_", "*": "_times_", " - ": "_minus_", " + ": "_plus_"}.items():
+        name = name.replace(sign, word)
+    return name.translate(dict.fromkeys(map(ord, "() ")))
 
 
 def _end(place: int) -> Callable[[Ranking], float | None]:

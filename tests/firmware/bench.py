@@ -6,6 +6,7 @@ entered and how many edges had been played by then: what the sample must say.
 """
 
 import json
+import math
 import subprocess
 import time
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import serial
 
-from daq.wire.decode import Stream, decode
+from daq.wire.decode import Stream, decode_pieces
 from daq.wire.frames import FrameReader
 from daq.wire.quadrature import levels_of
 from rig_sim.board.encoder import QuadratureEncoder
@@ -207,7 +208,7 @@ def record(board, rate_hz, samples, *, baud=115_200, block=8, mode=None):
         while data := port.read(4096):
             reads.append((0, data))
     report = board.stop()
-    stream = decode(reads)
+    stream = next(decode_pieces(reads, math.inf))
     return taken(stream, board, report)
 
 
