@@ -49,7 +49,7 @@ def rank(
         return list(describing(records, free).values())
 
     try:
-        competition = _compete(options, records, runs, progress)
+        competition = _compete(options, records, runs, progress, memory=True)
     except law_fits.NoLawError as refused:
         contradicted = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
@@ -106,8 +106,10 @@ def _compete(
     records: Sequence[Kinematics],
     runs: Sequence[Run],
     progress: Callable[[float], None] | None = None,
+    *,
+    memory: bool = False,
 ) -> Competition:
-    """Let all laws compete; NoLawError where none comes near the record."""
+    """Let all laws compete, with ``memory`` those too that have one; NoLawError where none comes near the record."""
     competitors = options.competitors
     six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
@@ -127,7 +129,7 @@ def _compete(
         raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
     judge = partial(compete, noise=nearest.noise, known=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
     competition = judge(fits)
-    if sustained and not competition.described:  # a law with memory may describe what no curve of the slip speed does
+    if memory and sustained and not competition.described:
         with_memory = judge([*fits, *fit_memory_laws(competitors, runs)])
         competition = with_memory if with_memory.described else competition
     return replace(
