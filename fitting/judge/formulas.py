@@ -20,9 +20,9 @@ import numpy as np
 from fitting import noise_levels
 from fitting.judge.calibrations import formula_given
 from fitting.judge.curve import MeasuredCurve, curve_target, seen_speeds
-from fitting.laws import MEMORY, MEMORY_LIMITS, PUBLISHED, Competitors, Law, natural_size
+from fitting.laws import PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
-from fitting.model.problem import EstimationProblem, Run
+from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
 from fitting.search.fit import Fit, PassNoise, Unfitted
@@ -162,13 +162,6 @@ def fit_formulas(
         fits.append(fit)
         warned += [_said(law, str(group), group.names) for group in fit.task.curve.together] if asked else []
     return fits, missing, warned
-
-
-def fit_memory_laws(competitors: Competitors, runs: Sequence[Run]) -> list[Fit]:
-    """Fit the laws with memory that were not requested, except limits of another one, as far as they can be fitted."""
-    limits = {name for others in MEMORY_LIMITS.values() for name in others}
-    laws = [law for law in MEMORY.values() if law.name not in limits and not competitors.asks(law)]
-    return [fit for law in laws for fit in [fit_memory(law, runs)] if isinstance(fit, Fit)]
 
 
 def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Iterator[Law]:

@@ -55,6 +55,7 @@ SLOWEST_STEADY = 1e-6  # slip speed over the belt's below which steady friction 
 # Of the starts, over the travel: presliding of bristles, and D of rate and state.
 PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
 B_OVER_FRICTION, A_OVER_B = 0.1, 0.3  # of the starts
+LARGEST_POWER = 300.0  # of an exponential: asinh is its logarithm there
 SHARED = (Global.K, Global.V_DR, Global.DATUM, Global.DAMPING)
 PARAMETERS = ("s0", "s1", "Fc", "Fs", "v_s", "F0", "a", "b", "D", "v0")
 X, V, LEVEL, NEXT_LEVEL, MEMORY = (int(column) for column in tuple(PerCycle)[:5])
@@ -409,9 +410,13 @@ class MemoryCurve(FrictionCurve):
         raise TypeError("derivatives of a law with memory are differences, made by its model")
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        """Return the friction of steady slip."""
-        slowest = SLOWEST_STEADY * float(u[Global.V_DR])
-        return self.law.curve.value(np.maximum(s, slowest), self.values(theta, u))
+        """Return the friction of steady slip, of rate and state in the regularised form of the simulator."""
+        speed, own = np.maximum(s, SLOWEST_STEADY * float(u[Global.V_DR])), self.values(theta, u)
+        if "a" not in own:
+            return self.law.curve.value(speed, own)
+        power = np.log(speed / (2.0 * own["v0"])) + (own["F0"] + own["b"] * np.log(own["v0"] / speed)) / own["a"]
+        grown = np.arcsinh(np.exp(np.minimum(power, LARGEST_POWER)))
+        return np.asarray(own["a"] * np.where(power < LARGEST_POWER, grown, power + math.log(2.0)))
 
 
 def memory_tasks(law: Law, runs: Sequence[Run]) -> list[tuple[Task, FitStart]]:

@@ -13,6 +13,7 @@ from fitting.laws import MEMORY
 from fitting.least_squares.normal_equations import SchurComplement
 from fitting.model import memory
 from fitting.model.problem import Run
+from fitting.model.unknowns import Global
 from fitting.record import cycles
 from fitting.record.motion import from_kinematics
 from fitting.search.memory import fit_memory
@@ -105,6 +106,19 @@ def test_derivatives_over_kept_steps_are_those_of_the_motion(law):
         beside = [model.residual(q + sign * step * (np.arange(q.size) == j), start.local) for sign in (1.0, -1.0)]
         expected = (beside[0] - beside[1]) / (2 * step)
         assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
+
+
+@pytest.mark.parametrize("values", [{"F0": 4.0, "a": 0.1, "b": 0.35}, {"F0": 0.4, "a": 0.35, "b": 0.1}])
+def test_steady_friction_is_positive_at_any_speed(values):
+    """The formula is negative at small speeds where a > b: its logarithm ended the fit with an error."""
+    curve, u = memory.MemoryCurve(MEMORY["ageing"], values | {"D": 1e-3}), np.zeros(len(Global))
+    u[Global.V_DR] = 0.2
+    speed = np.array([0.0, 1e-6, 1e-3, 0.1, 1.0])
+    found = curve.friction(u, curve.start, np.zeros(0), speed)
+    assert np.all(found > 0)
+    formula = MEMORY["ageing"].curve.value(np.maximum(speed, 2e-7), curve.values(curve.start, u))
+    large = formula > 5 * values["a"]
+    assert found[large] == pytest.approx(formula[large], rel=1e-3)
 
 
 def test_two_belt_speeds_tell_a_from_b():
