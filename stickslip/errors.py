@@ -49,13 +49,21 @@ _FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?:[= ]('[^']*')
 class StickslipError(Exception):
     """An error a user can act on.
 
-    what: What was wrong, with the offending value.
-    where: The file, key, flag, port or sample it was found at.
-    do: What to do about it.
-    python: The same for a caller from Python, where `in_python` of ``do`` does not name the call to make: a scene, a
-        file or a result is made by another function, or ``do`` names a command.
-    data: What was found out all the same: keys that stand beside ``error`` in the JSON document.
-    lines: The same in words, printed before the error.
+    Attributes
+    ----------
+    what : str
+        What was wrong, with the offending value.
+    where : str
+        The file, key, flag, port or sample it was found at.
+    do : str
+        What to do about it.
+    python : str
+        The same for a caller from Python, where `in_python` of ``do`` does not name the call to make: a scene, a file
+        or a result is made by another function, or ``do`` names a command.
+    data : dict
+        What was found out all the same: keys that stand beside ``error`` in the JSON document.
+    lines : list of str
+        The same in words, printed before the error.
     """
 
     exit_code = EXIT_BUG
