@@ -24,7 +24,7 @@ from fitting.judge.curve import MeasuredCurve, covariances
 from fitting.judge.parameters import covariance
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.curves import FreeCurve, FrictionCurve
-from fitting.model.problem import datum_calibration
+from fitting.model.problem import rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.windows import FEWEST_LEVELS
 from fitting.record.motion import MeasuredMotion
@@ -299,7 +299,7 @@ def _move_of_rest(rig: FittedRig) -> Array:
     if rig.motion.datum_prior is not None:
         return moved
     place = rig.slots.index(Global.DATUM)
-    default = rig.fit.held_rest or datum_calibration(rig.motion)
+    default = rig.fit.held_rest or rest_calibration(rig.fit.problem.runs[0])
     moved[place] = default.value - rig.unknowns[place]
     knots = rig.fit.spline.knots
     friction = rig.friction(rig.unknowns + moved, np.linspace(0.0, knots[-1], 20 * knots.size))

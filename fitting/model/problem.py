@@ -30,6 +30,9 @@ from rig_sim.friction.law import Law as Kind
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
+# Standard deviation of an unknown rest position over the travel: a fall of friction by a fifth stretches the spring by
+# 2.5 travels.
+REST_SD = 3.0
 LOOSE_REST = 0.05  # error of a rest position over the travel: with a larger one it is also fitted
 STEEPEST_LINE = 0.8  # fall over the level: a linear curve starts with friction left at the fastest slip
 LEAST_SHAPE = 1e-3  # shape times the fastest slip: next to a constant
@@ -332,7 +335,7 @@ class EstimationProblem:
         upper[:, Global.SHAPE] = steepest
         for r, (run, own) in enumerate(zip(runs, first, strict=True)):
             motion, ripple, v = run.motion, run.ripple, run.motion.belt_speed
-            datum, belt, compliance = datum_calibration(motion), motion.belt_prior, motion.compliance
+            datum, belt, compliance = rest_calibration(run), motion.belt_prior, motion.compliance
             # Constant friction determines only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             known = {
@@ -478,7 +481,7 @@ def _regressed(
 ) -> tuple[list[unknowns.Values], float]:
     """Return each run's regression, with the medians of the contact, and the median size of a drag."""
     found = [
-        regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion), drag)
+        regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), rest_calibration(run), drag)
         for run in runs
     ]
     contact = {name: float(np.median([getattr(own, name) for own, _ in found])) for name in ("K", "F", "shape", "d")}
@@ -492,15 +495,19 @@ def thinned_to(run: Run) -> Thinning:
     return Thinning(stride, COARSE_SAMPLES if run.ripple is None else math.inf)
 
 
-def datum_calibration(motion: MeasuredMotion) -> Measured:
-    """Return the spring's rest position: the calibration, or the middle of the motion +- half its range.
+def rest_calibration(run: Run) -> Measured:
+    """Return the spring's rest position, m; without a calibration where the spring would be relaxed, loosely known.
 
-    Without a datum laws 1 and 3 determine only datum + Fs/k; the wide prior keeps the fit finite and its interval wide.
+    That is the first position of a record that begins at rest below the middle of the motion, else the lowest one:
+    friction is then nowhere negative.  Laws 1 and 3 determine only datum + Fs/k: the prior keeps the fit finite.
     """
+    motion = run.motion
     if motion.datum_prior is not None:
         return motion.datum_prior
-    middle = 0.5 * float(motion.position.max() + motion.position.min())
-    return Measured(middle, 0.5 * motion.travel)
+    lowest, highest = float(motion.position.min()), float(motion.position.max())
+    first = float(motion.position[0])
+    released = run.cut.starts_at_rest and first < 0.5 * (lowest + highest)
+    return Measured(first if released else lowest, REST_SD * motion.travel)
 
 
 def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
