@@ -80,7 +80,8 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
 
 def contained(law: Law, other: Law) -> bool:
     """Return whether the other is constant friction or a limit; a ramp of the six may have a break-away level."""
-    return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
+    constant = other.number == 1 and law.depends_on_speed
+    return (law.contains(other) or constant) and not (other.number and other.ramp)
 
 
 def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise]]:
@@ -205,11 +206,15 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
 
 
 def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
-    """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended."""
+    """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended.
+
+    One that errs no less than constant friction shows no other friction, however little it errs more.
+    """
     for other in others:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
-        worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
-        if limit and (worse or fit.rms > WORSE * other.rms):
+        allowed = 1.0 if other.law.number == 1 else WORSE
+        worse = fit.geometric_mean_rms > allowed * other.geometric_mean_rms
+        if limit and (worse or fit.rms > allowed * other.rms):
             return f"its fit errs more than law {other.law.name}"
     return None
 
