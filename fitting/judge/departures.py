@@ -332,8 +332,11 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     base = None if finished is None else Base.at(finished, fit.problem.motions)
     if finished is None or base is None:
         return None
-    linear = base.linear
-    before = replace(linear, residual=fit.residual).cost
+    # A law that is far from the record may have been fitted to a thinned one alone.
+    alone, linear = fit.residual if fit.whole else fit.residual_in(finished.windows, fit.local), base.linear
+    if alone is None:
+        return None
+    before = replace(linear, residual=alone).cost
     refit = Refit(without_level_errors(finished), base, before - linear.cost)
     dissipates = candidate.departure.drag is None or refit.size[0] > 0
     return refit if dissipates and refit.sigmas > LEAST_SIGMAS else None

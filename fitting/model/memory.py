@@ -24,7 +24,6 @@ import numpy as np
 
 from fitting.laws import Law
 from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
-from fitting.model import unknowns
 from fitting.model.curves import FrictionCurve
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
@@ -52,9 +51,6 @@ SHORTEST_CREEP = 1e-4  # x sqrt(m/k)
 LANDING_STEPS = 3  # Newton steps to the end of the step that lands
 DIFFERENCE = 1e-6  # of an unknown over its size, for derivatives
 SLOWEST_STEADY = 1e-6  # slip speed over the belt's below which steady friction is constant
-# Of the starts, over the travel: presliding of bristles, and D of rate and state.
-PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
-B_OVER_FRICTION, A_OVER_B = 0.1, 0.3  # of the starts
 LARGEST_POWER = 300.0  # of an exponential: asinh is its logarithm there
 SHARED = (Global.K, Global.V_DR, Global.DATUM, Global.DAMPING)
 PARAMETERS = ("s0", "s1", "Fc", "Fs", "v_s", "F0", "a", "b", "D", "v0")
@@ -419,34 +415,15 @@ class MemoryCurve(FrictionCurve):
         return np.asarray(own["a"] * np.where(power < LARGEST_POWER, grown, power + math.log(2.0)))
 
 
-def memory_tasks(law: Law, runs: Sequence[Run]) -> list[tuple[Task, FitStart]]:
-    """Return the task of a law with memory, from each of its starts."""
+def memory_task(law: Law, runs: Sequence[Run], start: dict[str, float]) -> Task:
+    """Return the task of a law with memory, from first values of its parameters."""
     problem = MemoryProblem.of_law(law, runs)
     places = tuple(place for place in problem.active if place % PER_RUN in SHARED)
-    local = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, problem.start)
-    found = []
-    for values in starting_values(law, problem):
-        task = Task(problem, MemoryCurve(law, values), places)
-        found.append((task, FitStart(np.concatenate([problem.start[list(places)], task.curve.start]), local)))
-    return found
+    return Task(problem, MemoryCurve(law, start | dict(law.start or {})), places)
 
 
-def starting_values(law: Law, problem: EstimationProblem) -> list[dict[str, float]]:
-    """Return starts of a law's parameters: friction at rest and in slip from the regression, lengths of two decades."""
-    p = unknowns.values(problem.start[:PER_RUN])
-    motion = problem.motions[0]
-    fastest = float(np.max(motion.belt_speed - motion.velocity))
-    rest, sliding = p.F, p.F / (1.0 + p.shape * fastest)
-    rest = max(rest, sliding)
-    starts = []
-    bristles = MEMORY_LAWS[law.name].code == BRISTLE
-    for length in PRESLIDING if bristles else LENGTHS:
-        if bristles:
-            s0 = rest / (length * motion.travel)
-            own = {"s0": s0, "s1": math.sqrt(s0), "Fc": sliding, "Fs": rest, "v_s": 0.3 * fastest}
-        else:
-            middle = 0.5 * (rest + sliding)
-            b = B_OVER_FRICTION * middle
-            own = {"F0": middle, "a": A_OVER_B * b, "b": b, "D": length * motion.travel}
-        starts.append(own | dict(law.start or {}))
-    return starts
+def start_beside(task: Task, u: Array) -> FitStart:
+    """Return the start of a task at the rig of unknowns u (13 runs,), its windows at the smoothed motion."""
+    problem = task.problem
+    local = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, u)
+    return FitStart(np.concatenate([u[list(task.places)], task.curve.start]), local)
