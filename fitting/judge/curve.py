@@ -8,7 +8,7 @@ The motion determines K datum + friction. Without a calibrated datum only effect
 two: levels that scatter or wear, a ramp's creep, a belt that slows under load. Without these, curve and datum can move
 together and the motion is the same to the last digit. The level is then assumed, not fitted: the spring is relaxed
 where a record begins at rest below the middle of the motion, else at the lowest position, so that friction is nowhere
-negative. Band and parameters include the uncertainty of the rest position (`fitting.model.problem.REST_SD`).
+negative. Band and parameters include the uncertainty of the rest position (`fitting.record.motion.REST_SD`).
 
 A simultaneous band holds the whole curve: its factor is the quantile of the largest deviation over all speeds, in
 standard deviations, from normal draws. As for the laws' parameters, the larger of two covariances counts: by the noise,

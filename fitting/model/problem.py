@@ -23,16 +23,13 @@ from fitting.model import unknowns
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
-from fitting.record.motion import MeasuredMotion
+from fitting.record.motion import REST_SD, MeasuredMotion
 from fitting.record.ripple import Ripple
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 from rig_sim.friction.law import Law as Kind
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
-# Standard deviation of an unknown rest position over the travel: a fall of friction by a fifth stretches the spring by
-# 2.5 travels.
-REST_SD = 3.0
 LOOSE_REST = 0.05  # error of a rest position over the travel: with a larger one it is also fitted
 STEEPEST_LINE = 0.8  # fall over the level: a linear curve starts with friction left at the fastest slip
 LEAST_SHAPE = 1e-3  # shape times the fastest slip: next to a constant
