@@ -12,6 +12,7 @@ from daq.live.finished import RunSamples
 from daq.live.sticks import Spread, find_usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
+from fitting import noise_levels
 from fitting.judge import screening
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
