@@ -492,8 +492,8 @@ def thinned_to(run: Run) -> Thinning:
     return Thinning(stride, COARSE_SAMPLES if run.ripple is None else math.inf)
 
 
-def rest_calibration(run: Run) -> Measured:
-    """Return the spring's rest position, m; without a calibration where the spring would be relaxed, loosely known.
+def rest_calibration(run: Run, sd: float = REST_SD) -> Measured:
+    """Return the spring's rest position, m; without a calibration an assumed one, to ``sd`` travels.
 
     That is the first position of a record that begins at rest below the middle of the motion, else the lowest one:
     friction is then nowhere negative.  Laws 1 and 3 determine only datum + Fs/k: the prior keeps the fit finite.
@@ -504,7 +504,7 @@ def rest_calibration(run: Run) -> Measured:
     lowest, highest = float(motion.position.min()), float(motion.position.max())
     first = float(motion.position[0])
     released = run.cut.starts_at_rest and first < 0.5 * (lowest + highest)
-    return Measured(first if released else lowest, REST_SD * motion.travel)
+    return Measured(first if released else lowest, sd * motion.travel)
 
 
 def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
