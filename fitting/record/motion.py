@@ -33,8 +33,8 @@ from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
 COMPLIANCE_SHOWN = 3.0  # standard errors of the slope: a belt with a smaller one is taken as stiff
-# Standard deviation of an unknown rest position over the travel, about where friction is nowhere negative: with 3, which
-# allows any fall of friction, the width of a ramp is unknown that a record shows to a tenth.
+# Standard deviation of an unknown rest position over the travel, about where friction is nowhere negative: with 3,
+# which allows any fall of friction, a ramp's width is unknown that a record shows to a tenth.
 REST_SD = 0.5
 LEAST_VARIATION = 2e-3  # residual variation, over the belt's speed, that gives a warning
 VARIATION_SHOWN = 2.0  # residual variation over what counting alone shows: less is none
