@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
-from stickslip.errors import InputError
 
 HZ = 0.31
 OMEGA = 2 * math.pi * HZ
@@ -95,8 +94,3 @@ def test_no_ripple_is_the_steady_belt_and_the_parts_give_the_same_motion() -> No
 
 def test_a_rippling_belt_drives_the_mass_and_has_no_orbit() -> None:
     assert cycle(scene("base", **RIPPLE)).outcome == "driven"
-
-
-def test_ripple_beside_a_drive_is_refused() -> None:
-    with pytest.raises(InputError, match=r"belt\.ripple beside a drive"):
-        scene("forced", **RIPPLE)

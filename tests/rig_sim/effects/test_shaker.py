@@ -15,7 +15,6 @@ from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
 from rig_sim.scenes.sections import Start
-from stickslip.errors import InputError
 
 V, GAMMA = 0.5, 3.0
 REST = 1 / (1 + GAMMA * V)
@@ -95,8 +94,6 @@ def test_inside_a_ramp_the_slope_is_the_ramps() -> None:
     ramp = shaken(0.5, 2.2, **{"friction.law": 6, "friction.G_stick": -1.5, "belt.speed": 0.1})
     found = measured_omega(ramp, 0.15, 0.2, 1e-4)  # F = 1.5 x 0.1
     assert found == pytest.approx(thesis_formula(1.0, 1.0, -1.5, 0.5, 2.2), abs=1e-9)
-    with pytest.raises(InputError, match="creep"):
-        shaken(0.5, 2.2, **{"friction.law": 6, "friction.G_stick": -5, "belt.speed": 0.1})
 
 
 @pytest.mark.parametrize(("law", "fraction"), [(1, 0.1), (3, 0.1), (5, 0.05), (6, 0.02)])
@@ -221,27 +218,11 @@ def test_a_mass_without_friction_is_shaken_all_the_same() -> None:
     assert (flow.c, flow.k, flow.x0) == pytest.approx((-2 * Omega.imag, abs(Omega) ** 2, 0.0), abs=1e-14)
 
 
-def test_a_mass_that_creeps_has_no_phase_but_pi_as_people_write_it_is_a_damper() -> None:
-    with pytest.raises(InputError, match=r"shaker\.a = 5, shaker\.phi = 3\.1: the mass would creep"):
-        shaken(5.0, 3.1)
+def test_a_phase_of_pi_as_people_write_it_is_a_damper_even_where_the_mass_would_creep() -> None:
     for phi in (math.pi, 3.14159, 3.141593, 0.0):
         flow = shaken(5.0, phi).flow()
         assert flow.c == pytest.approx(5.0 * -math.cos(phi), abs=1e-9)
         assert (flow.k, flow.x0) == (1.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"belt.speed": 0.0}, "the belt must run"),
-        ({"shaker.a": -1.0}, r"shaker\.a"),
-        ({"shaker.phi": math.inf}, r"shaker\.phi"),
-        ({"shaker.phase": 1.0}, r"unknown key 'shaker\.phase'"),
-    ],
-)
-def test_what_cannot_be_is_refused_by_name(changes: dict[str, object], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        scene("base", **{"shaker.a": 0.3, "shaker.phi": 3.0, **changes})
 
 
 def test_a_shaker_that_drives_the_mass_on_has_no_orbit() -> None:

@@ -19,7 +19,6 @@ from rig_sim.friction.spline import about, find_problem, piece_of, spline_table
 from rig_sim.integrate.events import list_events
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
-from stickslip.errors import InputError
 
 SPEEDS = (0.0, 0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 0.9, 1.2, 1.5, 1.8, 2.1)
 HYPERBOLA = [[s, 1.0 / (1.0 + 3.0 * s)] for s in SPEEDS]
@@ -159,28 +158,6 @@ def test_a_scene_with_a_curve_plays_with_scatter_and_start_up() -> None:
     slipping = np.abs(v - 0.5) > 1e-6
     balance = np.gradient(v, t) + x - F  # m x'' + k x = F, with m = k = 1
     assert np.quantile(np.abs(balance[slipping]), 0.95) < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("curve", "said"),
-    [
-        ([[0.0, 1.0]], "1 point"),
-        ([], "0 points"),
-        ([[0.0, 1.0], [0.5, 0.8], [0.3, 0.7]], "increase"),
-        ([[0.0, 1.0], [0.5, 0.8], [0.5, 0.7]], "increase"),
-        ([[-0.1, 1.0], [0.5, 0.8]], "below 0"),
-        ([[0.1, 1.0], [0.5, 0.8]], "begins at s = 0.1"),
-        ([[0.0, 1.0], [0.5, -0.8]], "not above 0"),
-        ([[0.0, 1.0], [0.5, math.nan]], "finite"),
-        ([[0.0, 1.0], [0.5]], "curve"),
-        (None, "friction.curve is missing"),
-    ],
-)
-def test_points_that_are_no_curve_are_refused(curve: list[list[float]] | None, said: str) -> None:
-    changes = {"friction.law": 0} | ({} if curve is None else {"friction.curve": curve})
-    with pytest.raises(InputError) as refusal:
-        scene("base", **changes)
-    assert said in str(refusal.value)
 
 
 def test_a_curve_that_falls_to_nothing_ends_in_force_reversal() -> None:

@@ -20,7 +20,6 @@ from rig_sim.friction.curve import LINEAR, MEASURED
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import parse_changes, scene
-from stickslip.errors import InputError
 
 HYPERBOLA = "Fs/(1 + gamma*s)"
 STRIBECK = {
@@ -204,41 +203,6 @@ def test_a_change_of_law_and_formula_replaces_the_other() -> None:
     # the order of changes does not matter: what friction is comes first
     assert scene("base", **dict(reversed(STRIBECK.items()))).flow() == formula.flow()
     assert scene("base", friction={"Fc": 0.5, "formula": "Fc"}).flow().Fs == 0.5
-
-
-@pytest.mark.parametrize(
-    ("friction", "said"),
-    [
-        ('formula = "Fc + b*s"\nFc = 1.0', "friction.b is missing, which the formula needs"),
-        ('formula = "Fc*exp(-s/v_s)"\nFc = 1.0\nvs = 0.1', "unknown key 'friction.vs'; did you mean 'v_s'?"),
-        ('formula = "Fc*exp(-gama*s)"\nFc = 1.0\ngamma = 3.0', "friction.gama is missing.*did you mean 'gamma'?"),
-        ('formula = "Fc"\nFc = 1.0\nlaw = 1', "both law and formula"),
-        ('formula = "Fc"\nFc = 1.0\ncurve = [[0.0, 1.0]]', "both curve and formula"),
-        ('formula = "Fc - d*s"\nFc = 1.0\nd = 0.1', "parameter d, which is the section's own: half-width of the ramp"),
-        ('formula = "Fc"\nFc = 1.0\ncontact = "ramp"', "friction.d is missing, which a ramp needs"),
-        ('formula = "Fc"\nFc = "1"', "friction.Fc is '1'"),
-        ('formula = "Fc"\nFc = nan', "friction.Fc is nan"),
-        ('formula = "Fc"\nFc = 1e200', "friction.Fc is 1e\\+200"),
-        ("formula = 3", "friction.formula is 3"),
-        ('formula = "Fc*(1 - s"\nFc = 1.0', "friction.formula: this bracket is not closed(?s:.*)\\^"),
-        ('formula = "Fc - 2*s"\nFc = 1.0', "friction.formula: friction is negative.*the mass may reach s = 2 m/s"),
-        ('formula = "Fc - log(s)"\nFc = 1.0', "friction.formula: friction is not finite at s = 0 m/s.*log of 0"),
-        ("Fs = 1.0", "friction.law is missing"),
-        ("law = 5\nFs = 1.0\ngamma = 3.0\nv_s = 1.0", "unknown key 'friction.v_s'"),
-    ],
-)
-def test_what_is_wrong_with_a_formula_names_file_and_key(tmp_path: Path, friction: str, said: str) -> None:
-    path = written(tmp_path, friction)
-    with pytest.raises(InputError, match=said) as caught:
-        scene(path)
-    assert caught.value.where == str(path)
-
-
-def test_two_masses_and_droop_refuse_a_formula_by_its_name() -> None:
-    with pytest.raises(InputError, match=r"friction\.formula is given, which is not modelled for two masses"):
-        scene("two-mass", **{"friction.formula": HYPERBOLA})
-    with pytest.raises(InputError, match=r"droop with friction\.formula is not modelled"):
-        scene("base", **{"friction.formula": HYPERBOLA, "droop.fraction": 0.1})
 
 
 def test_settings_of_a_command_line_carry_a_formula() -> None:

@@ -22,7 +22,6 @@ from rig_sim.integrate.pair_motion import SAMPLES, PairMotion
 from rig_sim.motion.two_masses import two_mass_events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
-from stickslip.errors import InputError
 
 BENCHMARKS = Path(__file__).resolve().parents[4] / "benchmarks"
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter4"]
@@ -230,27 +229,10 @@ def test_a_belt_at_rest_has_no_map():
         StickMap(thesis(0.0))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"friction.law": 6}, "ramp"),
-        ({"drive.u0": 1.0, "drive.omega": 1.0}, "drive beside coupling"),
-        ({"belt.ripple": 0.1}, "belt.ripple"),
-        ({"start.x": 0.1}, "start.x or"),
-        ({"coupling.a": -1.0}, "coupling.a"),
-    ],
-)
-def test_what_two_masses_do_not_have_is_refused(changes, message):
-    with pytest.raises(InputError, match=message):
-        scene("two-mass", **changes)
-
-
 def test_what_is_for_one_mass_refuses_two_and_the_other_way_round(capsys):
     assert application.run(cli.app, ["cycle", "two-mass"]) == 2
     assert application.run(cli.app, ["map", "base", "--d", "0.1"]) == 2
     assert "coupling" in capsys.readouterr().err
-    with pytest.raises(InputError, match="without coupling"):
-        scene("base", **{"start.d": 0.1})
 
 
 def test_events_and_motion_agree(capsys, tmp_path):
