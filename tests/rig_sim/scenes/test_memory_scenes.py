@@ -1,8 +1,5 @@
 """Scenes with friction laws with memory: their motion, the counts of the board, and errors for what is not modelled."""
 
-import contextlib
-import io
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +7,10 @@ import pytest
 
 import rig_sim
 from rig_sim.board.board import SimulatedBoard
-from rig_sim.cli.app import app
 from rig_sim.motion import play
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import parse_changes, scene
-from stickslip.console import application
 
 LUGRE = ["friction.law=lugre", "friction.s0=15 N/mm", "friction.s1=60", "friction.Fc=600 mN", "friction.v_s=10 cm/s"]
 STATE = ["friction.F0=1.2 N", "friction.a=0.03", "friction.b=0.105", "friction.D=2 mm", "friction.v0=0.1"]
@@ -49,32 +44,6 @@ def test_another_law_drops_the_parameters_of_a_memory():
     assert changed.friction.model_extra == {}
     formula = scene(rig("lugre"), **{"friction.formula": "Fs - b*s", "friction.b": 0.1})
     assert formula.friction.model_extra == {"b": 0.1}
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        "floquet",
-        "compare --until 3",
-        "continue --over friction.Fc=0.5:0.6",
-        "sweep --over belt.speed=0.1:0.2:2",
-        "lyapunov",
-        "quench",
-        "lock --period 1 --budget 0.1",
-        "run --until 1 --rate 10 --method dop853 -o x.csv",
-    ],
-)
-def test_commands_that_do_not_cover_a_memory_say_so(tmp_path, monkeypatch, command):
-    monkeypatch.chdir(tmp_path)
-    name, *flags = command.split()
-    changes = [*LUGRE, "drive.u0=0.1", "drive.omega=2"]
-    settings = [word for change in changes for word in ("--set", change)]
-    with contextlib.redirect_stdout(io.StringIO()) as printed:
-        code = application.run(app, [name, "rig", *flags, *settings, "--json"])
-    error = json.loads(printed.getvalue())["error"]
-    assert code == 2
-    assert "memory" in error["what"]
-    assert "\n" not in error["what"] + error["do"]
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -1,13 +1,10 @@
 """Attractors, basins, exponents and sweeps of maps: textbook maps with known answers, and the thesis's two masses."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.basins import basins, merge_sets
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.map_branches import map_continuation
@@ -19,19 +16,15 @@ from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
-from stickslip.console import application
 
-REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter4"]
+from ...shared import CHAPTERS, answer
+
+REFERENCE = CHAPTERS["chapter4"]
 SHARES = REFERENCE["basin_fraction_attractor2_of_d_range"]
 
 
 def thesis(v_belt):
     return TwoMassFlow(Flow(v_belt=v_belt))
-
-
-def answer(capsys, *words):
-    assert application.run(cli.app, [*words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 def test_the_logistic_map_has_the_periodic_points_of_the_textbook(textbook):
@@ -77,8 +70,8 @@ def test_two_wells_share_the_interval(textbook):
 
 
 @pytest.mark.parametrize("v_belt", ["0.1", "0.165"])
-def test_basins_of_the_two_masses(capsys, v_belt):
-    found = answer(capsys, "basins", "two-mass", "--cells", "4000", "--set", f"belt.speed={v_belt}")
+def test_basins_of_the_two_masses(v_belt):
+    found = answer(f"basins two-mass --cells 4000 --set belt.speed={v_belt}")
     assert found["range"] == pytest.approx(SHARES["range"], abs=1e-14)
     assert found["cycles"] > len(found["shares"]) == 2
     assert found["shares"][1] == pytest.approx(SHARES["values"][v_belt], abs=SHARES["tol"])
@@ -86,9 +79,9 @@ def test_basins_of_the_two_masses(capsys, v_belt):
 
 
 @pytest.mark.parametrize("v_belt", ["0.083", "0.1", "0.15"])
-def test_exponents_of_the_two_masses(capsys, v_belt):
+def test_exponents_of_the_two_masses(v_belt):
     expected = REFERENCE["lyapunov_per_event"][v_belt]
-    found = answer(capsys, "lyapunov", "two-mass", "--events", "1000", "--set", f"belt.speed={v_belt}")
+    found = answer(f"lyapunov two-mass --events 1000 --set belt.speed={v_belt}")
     assert found["exponent"] == pytest.approx(expected["value"], abs=expected["tol"])
     assert found["per"] == "event"
 
@@ -127,19 +120,17 @@ def test_attractors_keep_their_numbers_although_their_basins_change():
     assert [row.attractor for row in number_as_before([at(0.4, 1, 0.4, 0.9), at(0.4, 2, -0.6, 0.1)], third)] == [1, 2]
 
 
-def test_the_start_may_be_an_attractor(capsys):
+def test_the_start_may_be_an_attractor():
     assert scene("two-mass", **{"start.attractor": 2}).start.d is None
-    found = answer(capsys, "events", "two-mass", "--until", "40", "--set", "start.attractor=2")
+    found = answer("events two-mass --until 40 --set start.attractor=2")
     stuck = [event["x2"] - event["x1"] for event in found["events"] if event["kind"].endswith(">SS")]
     assert stuck == pytest.approx([0.12859314965090538] * len(stuck), abs=1e-8)
     assert len(stuck) > 1
-    assert application.run(cli.app, ["events", "two-mass", "--until", "1", "--set", "start.attractor=9"]) == 2
 
 
-def test_a_sweep_draws_both_attractors(capsys, tmp_path):
+def test_a_sweep_draws_both_attractors(tmp_path):
     path = tmp_path / "sweep.png"
-    words = ["sweep", "two-mass", "--over", "belt.speed=0.14:0.175:4", "--section", "map", "--plot", str(path)]
-    found = answer(capsys, *words)
+    found = answer("sweep two-mass --over belt.speed=0.14:0.175:4 --section map --plot", path)
     assert path.stat().st_size > 10_000
     numbers = [[row["attractor"] for row in found["rows"] if row["parameter"] == value] for value in (0.14, 0.175)]
     assert numbers == [[1, 2], [1]]  # attractor 2 ends at the fold, 0.1697
@@ -171,8 +162,8 @@ def test_a_map_that_touches_the_diagonal_is_a_fold(textbook):
         pytest.param("0.168:0.172:3", "fold", "period2_fold", marks=pytest.mark.slow),
     ],
 )
-def test_bifurcations_of_the_two_masses(capsys, span, kind, name):
-    found = answer(capsys, "continue", "two-mass", "--over", f"belt.speed={span}")
+def test_bifurcations_of_the_two_masses(span, kind, name):
+    found = answer(f"continue two-mass --over belt.speed={span}")
     expected = REFERENCE["bifurcations_V"][name]
     (point,) = found["points"]
     assert (point["kind"], point["parameter"]) == (kind, "belt.speed")

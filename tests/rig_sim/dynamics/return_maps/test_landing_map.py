@@ -1,16 +1,13 @@
 """Landings, unstable orbits and locking of the driven mass: against scipy, the reference figures and the thesis."""
 
-import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from rig_sim.cli.app import app
 from rig_sim.dynamics.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
@@ -19,9 +16,10 @@ from rig_sim.dynamics.system.interface import difference, orbit
 from rig_sim.functions import control
 from rig_sim.scenes.scene import scene
 from stickslip.compute.arrays import Array
-from stickslip.console import application
 
-REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]
+from ...shared import CHAPTERS, answer, settings
+
+REFERENCE = CHAPTERS["chapter6"]
 
 
 def driven(omega: float, **changes: object) -> LandingMap:
@@ -171,13 +169,8 @@ def test_a_motion_under_control_is_sampled_to_its_landings() -> None:
     assert np.max(v) < 0.085 + 1e-9
 
 
-def asked(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> Any:
-    assert application.run(app, ["lock", *arguments, "--json"]) == code
-    return json.loads(capsys.readouterr().out)
-
-
-def test_the_command_locks_and_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    found = asked(capsys, "forced", "--period", "2", "--budget", "0.0235", "--plot", str(tmp_path / "lock.png"))
+def test_the_command_locks_and_draws(tmp_path: Path) -> None:
+    found = answer("lock forced --period 2 --budget 0.0235 --plot", tmp_path / "lock.png")
     assert (found["outcome"], found["locked"]) == ("locked", True)
     assert found["orbit"]["drive_periods"] == 7
     assert sorted(found["orbit"]["x_slip"]) == pytest.approx(sorted(REFERENCE["unstable_orbits"]["1.6_2"]["X_A"]))
@@ -187,67 +180,39 @@ def test_the_command_locks_and_draws(capsys: pytest.CaptureFixture[str], tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("arguments", "outcome"),
+    ("flags", "outcome"),
     [
-        (("--period", "2", "--budget", "0"), "no budget"),
-        (("--period", "1", "--budget", "0.01", "--set", "drive.omega=0.3"), "stable orbit"),
-        (("--period", "2", "--budget", "0.01", "--set", "drive.omega=0.3"), "regular motion"),
-        pytest.param(
-            ("--period", "3", "--budget", "0.01", "--set", "drive.omega=0.2"), "no orbit", marks=pytest.mark.slow
-        ),
-        (("--period", "1", "--budget", "0.01", "--set", "drive.omega=20", "--set", "drive.u0=10"), "no landing"),
-        (("--period", "1", "--budget", "0.01", "--set", "belt.speed=0", "--set", "drive.u0=0.1"), "no landing"),
-        (("--period", "1", "--budget", "0.01", "--set", "friction.law=1", "--set", "damper.c=20"), "no landing"),
-        pytest.param(("--period", "2", "--budget", "0.01", "--method", "search"), "not locked", marks=pytest.mark.slow),
+        ("--period 2 --budget 0", "no budget"),
+        ("--period 1 --budget 0.01 --set drive.omega=0.3", "stable orbit"),
+        ("--period 2 --budget 0.01 --set drive.omega=0.3", "regular motion"),
+        pytest.param("--period 3 --budget 0.01 --set drive.omega=0.2", "no orbit", marks=pytest.mark.slow),
+        ("--period 1 --budget 0.01 --set drive.omega=20 --set drive.u0=10", "no landing"),
+        ("--period 1 --budget 0.01 --set belt.speed=0 --set drive.u0=0.1", "no landing"),
+        ("--period 1 --budget 0.01 --set friction.law=1 --set damper.c=20", "no landing"),
+        pytest.param("--period 2 --budget 0.01 --method search", "not locked", marks=pytest.mark.slow),
     ],
 )
-def test_what_cannot_be_locked_has_a_name(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], outcome: str
-) -> None:
-    found = asked(capsys, "forced", *arguments)
+def test_what_cannot_be_locked_has_a_name(flags: str, outcome: str) -> None:
+    found = answer(f"lock forced {flags}")
     assert found["outcome"] == outcome
     assert found["locked"] == (outcome == "stable orbit")
     assert (found["advice"] == "") == (outcome == "stable orbit")
 
 
 @pytest.mark.parametrize("method", ["ogy", "search"])
-def test_a_search_is_bounded_in_integrator_steps(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, method: str
-) -> None:
+def test_a_search_is_bounded_in_integrator_steps(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
     """Under Coulomb friction landings may be hundreds of steps apart and no orbit be found: it took 24 s."""
     for limit in ("STEPS_IN_ALL", "STEPS_PER_EVENT"):
         monkeypatch.setattr(control, limit, getattr(control, limit) // 20)
-    coulomb = [word for change in ("friction.law=1", "drive.u0=0.01", "drive.omega=100") for word in ("--set", change)]
-    found = asked(capsys, "forced", "--period", "7", "--budget", "0.01", "--method", method, *coulomb)
+    coulomb = settings("friction.law=1", "drive.u0=0.01", "drive.omega=100")
+    found = answer(f"lock forced --period 7 --budget 0.01 --method {method}", *coulomb)
     assert (found["outcome"], found["locked"], found["orbit"]) == ("step limit", False, None)
     assert "shorter period" in found["advice"]
 
 
-def test_control_that_meets_the_step_limit_keeps_the_orbits(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_control_that_meets_the_step_limit_keeps_the_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control, "STEPS_IN_ALL", 450_000)  # 350 000 are taken up to the control
     monkeypatch.setattr(control, "STEPS_PER_EVENT", 0)
-    found = asked(capsys, "forced", "--period", "2", "--budget", "0.0001")
+    found = answer("lock forced --period 2 --budget 0.0001")
     assert (found["outcome"], found["locked"], found["events_to_lock"]) == ("step limit", False, None)
     assert len(found["orbits"]) > 1
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("base", "--period", "1", "--budget", "0.1"),
-        ("two-mass", "--period", "1", "--budget", "0.1"),
-        ("rig", "--set", "belt.ripple=0.01", "--set", "belt.ripple_hz=1", "--period", "1", "--budget", "0.1"),
-        ("forced", "--period", "0", "--budget", "0.1"),
-        ("forced", "--period", "101", "--budget", "0.1"),
-        ("forced", "--period", "1", "--budget", "-0.1"),
-        ("forced", "--period", "1", "--budget", "nan"),
-        ("forced", "--period", "1", "--budget", "2"),
-        ("forced", "--period", "1", "--budget", "0.1", "--events", "0"),
-        ("forced", "--period", "1", "--budget", "0.1", "--set", "drive.u0=0"),
-        ("forced", "--period", "1", "--budget", "0.1", "--set", "drive.omega=0"),
-    ],
-)
-def test_requests_that_cannot_be_are_refused(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
-    assert asked(capsys, *arguments, code=2)["error"]["do"]
