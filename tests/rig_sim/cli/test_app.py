@@ -112,7 +112,7 @@ def test_light_commands_import_no_array_package() -> None:
         "import sys; from stickslip.console import application; from rig_sim.cli.app import app\n"
         "for line in ('--help', 'scenes', 'cycle base', 'events rig --until 20'):\n"
         "    assert application.run(app, line.split()) == 0, line\n"
-        "    heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'pandas', 'h5py'} & set(sys.modules)\n"
+        "    heavy = {'numpy', 'scipy', 'mpmath', 'numba', 'matplotlib', 'pandas', 'h5py'} & set(sys.modules)\n"
         "    assert not heavy, (line, heavy)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -1,7 +1,6 @@
 """The reference against closed forms and the kernel; the peers; and ``rig-sim compare``."""
 
 import re
-import sys
 from functools import partial
 
 import mpmath
@@ -109,14 +108,6 @@ def test_compare_prints_a_table_of_80_columns(capsys, monkeypatch):
     lines = capsys.readouterr().out.splitlines()
     assert any("rk4-henon" in line for line in lines)
     assert all(len(line) <= 80 for line in lines if "rtol" in line or "h 0" in line)
-
-
-def test_exact_needs_neither_scipy_nor_mpmath_at_import():
-    import subprocess
-
-    code = "import sys, rig_sim.integrate.events; print({'scipy', 'mpmath', 'numpy'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
 
 
 @pytest.mark.parametrize(

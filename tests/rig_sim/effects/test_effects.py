@@ -15,6 +15,7 @@ from daq.wire.quadrature import PHASE
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.board.gaps import SilentStretches
 from rig_sim.motion.file import write
+from rig_sim.motion.play import events
 from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.scene import scene
 from rig_sim.scenes.sections import Gaps, SlipLoss
@@ -123,6 +124,15 @@ def test_the_seed_makes_an_effect_again_and_another_seed_another_one(effect: dic
     )
     assert first == again
     assert first != other
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"droop.fraction": 0.0}, {"belt.ripple": 0.0, "belt.ripple_hz": 3.0}, {"shaker.a": 0.0, "shaker.phi": 2.0}],
+    ids=str,
+)
+def test_an_effect_of_no_size_is_no_effect(changes: dict[str, object]) -> None:
+    assert events(scene("rig", **changes), 20.0) == events(scene("rig"), 20.0)
 
 
 def test_effects_draw_from_streams_of_their_own() -> None:

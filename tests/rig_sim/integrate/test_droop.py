@@ -141,10 +141,6 @@ def test_the_orbit_on_a_drooping_belt_is_exact() -> None:
     assert settled[-1].t - settled[-3].t == pytest.approx(hyperbolic.period, rel=1e-10)
 
 
-def test_no_droop_is_the_rigid_belt() -> None:
-    assert events(scene("rig", **{"droop.fraction": 0.0}), 20.0) == events(scene("rig"), 20.0)
-
-
 def test_a_resting_belt_does_not_droop_and_scatter_leaves_the_width_alone() -> None:
     rig = scene("rig", **{"droop.fraction": 0.01})
     assert rig.flow(belt_running=False).droop == 0

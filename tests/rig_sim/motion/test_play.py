@@ -149,11 +149,6 @@ def test_the_step_limit_is_a_named_outcome() -> None:
     assert len(motion.follow(np.array([30.0])).samples) == 0
 
 
-def test_settings_from_the_command_line_play() -> None:
-    changes = parse_changes(["drive.u0=0.2", "drive.omega=0.3"])
-    assert events(scene("base", **changes), 60.0).events[0].kind == "N>S"
-
-
 @pytest.mark.parametrize("change", ["mass.m=1e-9", "friction.Fs=1e9", "friction.gamma=1e9"])
 def test_a_motion_too_fast_to_be_followed_is_refused(change: str) -> None:
     # It ended in a MemoryError: half a terabyte for the nodes of one millisecond.

@@ -18,6 +18,7 @@ from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
 
 from ...shared import CHAPTERS, answer
+from ..textbook import Logistic, OnInterval
 
 REFERENCE = CHAPTERS["chapter4"]
 SHARES = REFERENCE["basin_fraction_attractor2_of_d_range"]
@@ -27,42 +28,34 @@ def thesis(v_belt):
     return TwoMassFlow(Flow(v_belt=v_belt))
 
 
-def test_the_logistic_map_has_the_periodic_points_of_the_textbook(textbook):
+def test_the_logistic_map_has_the_periodic_points_of_the_textbook():
     r = 3.2
-    (zero, fixed) = find_periodic_orbits(textbook.Logistic(r))
+    (zero, fixed) = find_periodic_orbits(Logistic(r))
     assert (zero.points, fixed.points[0]) == ((0.0,), pytest.approx(1.0 - 1.0 / r, abs=1e-14))
     assert (zero.slope, fixed.slope) == (pytest.approx(r, abs=1e-8), pytest.approx(2.0 - r, abs=1e-8))
-    (two,) = find_periodic_orbits(textbook.Logistic(r), 2)
+    (two,) = find_periodic_orbits(Logistic(r), 2)
     root = math.sqrt((r + 1.0) * (r - 3.0))
     assert two.points == pytest.approx(((r + 1.0 - root) / (2.0 * r), (r + 1.0 + root) / (2.0 * r)), abs=1e-14)
     assert two.slope == pytest.approx(4.0 + 2.0 * r - r * r, abs=1e-8)
     assert two.stable
-    assert [orbit.period for orbit in find_periodic_orbits(textbook.Logistic(3.9), 3)] == [3, 3]
+    assert [orbit.period for orbit in find_periodic_orbits(Logistic(3.9), 3)] == [3, 3]
 
 
-def test_exponents_of_the_logistic_map(textbook):
-    chaos = exponent(textbook.Logistic(4.0).motion(np.array([0.3])), 20_000)
-    assert chaos.exponent == pytest.approx(math.log(2.0), abs=4.0 * chaos.stderr)
-    assert 0.0 < chaos.stderr < 0.02
-    regular = exponent(textbook.Logistic(3.2).motion(np.array([0.3])), 100)
-    assert (regular.exponent, regular.period) == (pytest.approx(0.5 * math.log(0.16), abs=1e-9), 2)
-
-
-def test_an_orbit_that_leaves_has_no_exponent(textbook):
-    f = textbook.OnInterval(lambda x: np.where(x < 0.9, x + 0.05, np.nan), 0.0, 1.0)
+def test_an_orbit_that_leaves_has_no_exponent():
+    f = OnInterval(lambda x: np.where(x < 0.9, x + 0.05, np.nan), 0.0, 1.0)
     assert exponent(f.motion(f.start), 100).outcome == "no attractor"
     assert basins(f, 50).attractors == ()
     assert basins(f, 50).nowhere == 1.0
 
 
-def test_cycles_of_cells_of_one_chaotic_attractor_are_merged(textbook):
-    found = basins(textbook.Logistic(3.9), 3000)
+def test_cycles_of_cells_of_one_chaotic_attractor_are_merged():
+    found = basins(Logistic(3.9), 3000)
     assert [(attractor.period, attractor.share) for attractor in found.attractors] == [(None, 1.0)]
     assert merge_sets([{1, 2}, {3}, {2, 4}, {4, 3}]) == [0, 0, 0, 0]
 
 
-def test_two_wells_share_the_interval(textbook):
-    f = textbook.OnInterval(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
+def test_two_wells_share_the_interval():
+    f = OnInterval(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
     found = basins(f, 1000)
     assert sorted(attractor.points for attractor in found.attractors) == [(-1.0,), (1.0,)]
     assert [attractor.share for attractor in found.attractors] == [0.5, 0.5]
@@ -136,19 +129,9 @@ def test_a_sweep_draws_both_attractors(tmp_path):
     assert numbers == [[1, 2], [1]]  # attractor 2 ends at the fold, 0.1697
 
 
-def test_the_period_doubling_of_the_logistic_map_and_no_other_point(textbook):
-    found = map_continuation(textbook.Logistic, np.linspace(2.82, 3.12, 4).tolist())
-    assert [(point.kind, point.value) for point in found.points] == [("period-doubling", pytest.approx(3.0, abs=1e-8))]
-    assert {(branch.kind, branch.stable) for branch in found.branches} == {
-        ("period 1", True),
-        ("period 1", False),
-        ("period 2", True),
-    }
-
-
-def test_a_map_that_touches_the_diagonal_is_a_fold(textbook):
+def test_a_map_that_touches_the_diagonal_is_a_fold():
     def quadratic(r):
-        return textbook.OnInterval(lambda x: x * x + r, -1.0, 1.0)
+        return OnInterval(lambda x: x * x + r, -1.0, 1.0)
 
     points = map_continuation(quadratic, [0.1, 0.2, 0.3]).points
     assert [(point.kind, point.value) for point in points] == [("fold", pytest.approx(0.25, abs=1e-10))]
@@ -170,13 +153,13 @@ def test_bifurcations_of_the_two_masses(span, kind, name):
     assert point["value"] == pytest.approx(expected["value"], abs=1e-9)
 
 
-def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep(textbook):
+def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep():
     # The jump of 0.03 at d = -0.21 of the two masses was drawn as a line, the steep piece of f^2 at d = 0.2 was not.
-    f = textbook.OnInterval(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
+    f = OnInterval(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
     x = np.linspace(f.lo, f.hi, PLACES)
     y = f.images(x)
     found = find_jumps(f, 1, x, y)
     assert np.abs(np.diff(y))[np.searchsorted(x, 0.3) - 1] > 0.02, "the root is not steep enough to be mistaken"
     assert x[found] == pytest.approx(0.7, abs=2.0 / PLACES)
-    smooth = textbook.OnInterval(lambda x: x * x, -1.0, 1.0)
+    smooth = OnInterval(lambda x: x * x, -1.0, 1.0)
     assert find_jumps(smooth, 1, x, smooth.images(x)).size == 0

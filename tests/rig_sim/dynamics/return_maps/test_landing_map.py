@@ -114,21 +114,6 @@ def test_both_orbits_of_the_thesis_lock_within_its_budgets(
     assert np.max(nearest) > 0.05
 
 
-def test_two_phases_have_the_same_break_away() -> None:
-    # Why the state is the whole landing: with the position at break-away alone these two would be one.
-    f = driven(1.6)
-    states = orbit(f, f.first_landing(0.0, 0.0).state, 3000)
-    landings = [f.find_landing(state) for state in states]
-    x_slip = np.array([landing.x_slip for landing in landings])
-    lower, upper = REFERENCE["X_A_range"]["value"]
-    assert lower - 1e-9 <= x_slip.min() < 0.81
-    assert 1.03 < x_slip.max() <= upper
-    phase = (states[:, 0] + (x_slip - states[:, 1]) / 0.085) / f.period % 1.0  # of break-away
-    order = np.argsort(x_slip)
-    near = np.diff(x_slip[order]) < 1e-5
-    assert np.max(np.abs(np.diff(phase[order]))[near]) > 0.05
-
-
 def test_a_ramp_law_and_a_backward_belt_have_landings_too() -> None:
     ramp = driven(1.1, **{"friction.law": 6, "friction.G_stick": -50.0})
     states = orbit(ramp, ramp.first_landing(0.1, 0.0).state, 300)
