@@ -14,7 +14,6 @@ import pytest
 
 import rig_sim
 from rig_sim.cli.app import app
-from rig_sim.comparison import error_vs_time
 from rig_sim.functions.maps import format_with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
@@ -171,13 +170,3 @@ def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> No
 )
 def test_a_value_has_the_digits_that_its_error_leaves(value, stderr, text):
     assert format_with_error(value, stderr) == text
-
-
-@pytest.mark.parametrize("scene", ["base", "rig"])
-def test_the_table_of_methods_shows_their_names_whole(scene, capsys, monkeypatch):
-    # Beside "other events from t = 18.2702" the name rk4-henon was cut to "rk4-h...".
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)  # nothing here is about CPU times
-    assert application.run(app, ["compare", scene, "--until", "10"]) == 0
-    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("rk4-henon ")]
-    assert len(table) == 4

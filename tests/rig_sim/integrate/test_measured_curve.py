@@ -179,23 +179,26 @@ def test_extremes_of_a_cycle_whose_mass_turns_on_a_knot_are_seen() -> None:
     assert found.x_max == pytest.approx(x.max(), abs=1e-6)
 
 
-@pytest.mark.slow  # two kernels are compiled; test_formula_scenes has the attractors of a table in `make test`
-def test_a_driven_curve_of_many_points_has_attractors() -> None:
+POINTS = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
+
+
+@pytest.mark.slow  # two kernels are compiled
+@pytest.mark.parametrize(
+    ("friction", "within"),
+    [({"friction.law": 0, "friction.curve": POINTS}, 1e-4), ({"friction.formula": "Fs/(1 + gamma*s)"}, 1e-7)],
+    ids=["curve", "formula"],
+)
+def test_a_driven_curve_of_many_points_has_the_attractors_of_the_law(
+    friction: dict[str, object], within: float
+) -> None:
     """A driven curve of 200 points and more ended in a bug, exit code 1.
 
     Compiled code was handed its table as a tuple, and was made anew for each number of points.
     """
-    points = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
     known, found = (
-        find_attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
-        for friction in (
-            {"friction.law": 5, "drive.omega": 0.3},
-            {"friction.law": 0, "friction.curve": points, "drive.omega": 0.3},
-        )
+        find_attractors(*driven_map_with_starts(driven.flow(), 0.0, 0.0, "poincare"), 0.3)
+        for driven in (scene("forced", **{"drive.omega": 0.3}), scene("forced", **{"drive.omega": 0.3, **friction}))
     )
     assert [row.period for row in found] == [row.period for row in known] == [1]
-    assert found[0].points == pytest.approx(known[0].points, rel=1e-4)
-    landing = LandingMap(scene("forced", **{"friction.law": 0, "friction.curve": points}).flow()).first_landing(
-        0.0, 0.0
-    )
-    assert landing.outcome == "completed"
+    assert found[0].points == pytest.approx(known[0].points, rel=within)
+    assert LandingMap(scene("forced", **friction).flow()).first_landing(0.0, 0.0).outcome == "completed"

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.limit_cycles.branches import continuation
 from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED
@@ -115,19 +113,6 @@ def test_a_formula_is_varied_as_a_law_is() -> None:
     assert found.outcome == known.outcome
     assert found.period == pytest.approx(known.period, rel=1e-6)
     assert found.multipliers[1] == pytest.approx(known.multipliers[1], rel=1e-4)
-
-
-@pytest.mark.slow  # to compile the section for a formula takes 7 s; the events of a driven formula stand above
-def test_a_driven_formula_has_the_attractors_of_the_law() -> None:
-    known, found = (
-        find_attractors(*driven_map_with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
-        for friction in (
-            {"friction.law": 5, "drive.omega": 0.3},
-            {"friction.formula": HYPERBOLA, "drive.omega": 0.3},
-        )
-    )
-    assert [row.period for row in found] == [row.period for row in known] == [1]
-    assert found[0].points == pytest.approx(known[0].points, rel=1e-7)
 
 
 def test_the_extremes_of_a_cycle_are_those_of_the_law() -> None:

@@ -108,9 +108,8 @@ def test_a_picture_that_exists_is_refused_before_anything_is_computed(tmp_path, 
 @pytest.mark.slow
 @pytest.mark.parametrize("line", [TWO_MASSES, DRIVEN], ids=["two-mass", "forced"])
 def test_processes_change_no_bit_of_a_sweep(tmp_path, line):
-    """Nor does it matter that one was killed before."""
+    """Nor does it matter that they were killed in between."""
     path = tmp_path / "sweep.jsonl"
-    assert answer(line, "--jobs", "2") == whole(line)
     command = [sys.executable, "-m", "rig_sim.cli.app", *line.split(), "--jobs", "2", "--resume", str(path)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True) as run:
         while run.poll() is None and not (path.exists() and path.read_bytes().count(b"\n") > 3):
