@@ -1,12 +1,9 @@
 """Landings, unstable orbits and locking of the driven mass: against scipy, the reference figures and the thesis."""
 
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from rig_sim.dynamics.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.dynamics.control.ogy import lock
@@ -15,9 +12,9 @@ from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.dynamics.system.interface import difference, orbit
 from rig_sim.functions import control
 from rig_sim.scenes.scene import scene
-from stickslip.compute.arrays import Array
 
 from ...shared import CHAPTERS, answer, settings
+from .general_solver import follow_by_scipy
 
 REFERENCE = CHAPTERS["chapter6"]
 
@@ -26,45 +23,16 @@ def driven(omega: float, **changes: object) -> LandingMap:
     return LandingMap(scene("forced", **{"drive.omega": omega, **changes}).flow())
 
 
-def scipy_landing(omega: float, u0: float, t: float, x: float) -> tuple[float, float, float]:
-    """Return (t, x, x at break-away) of the next landing, with brentq for the stick and DOP853 for the slip."""
-    v, gamma = 0.085, 3.0
-
-    def load(at: float) -> float:
-        return x + v * (at - t) - u0 * math.cos(omega * at) - 1.0
-
-    step = 0.01 / omega
-    end = t
-    while load(end + step) <= 0.0:
-        end += step
-    left = float(brentq(load, end, end + step, xtol=1e-15))
-
-    def slip(at: float, state: Array) -> list[float]:
-        return [state[1], 1.0 / (1.0 + gamma * (v - state[1])) - state[0] + u0 * math.cos(omega * at)]
-
-    def lands(at: float, state: Array) -> float:
-        return float(state[1] - v)
-
-    lands.terminal, lands.direction = True, 1.0  # type: ignore[attr-defined]
-    x_slip = x + v * (left - t)
-    # the slip begins at rest on the belt: a short step by its Taylor series leaves the event behind
-    h = 1e-3
-    jerk = -v - u0 * omega * math.sin(omega * left)
-    snap = gamma * jerk - u0 * omega**2 * math.cos(omega * left)
-    begun = [x_slip + v * h + jerk * h**3 / 6 + snap * h**4 / 24, v + jerk * h**2 / 2 + snap * h**3 / 6]
-    found = solve_ivp(slip, (left + h, left + 60.0), begun, "DOP853", events=lands, rtol=1e-12, atol=1e-13)
-    return float(found.t_events[0][0]), float(found.y_events[0][0][0]), x_slip
-
-
 @pytest.mark.parametrize(("omega", "change"), [(1.6, 0.0), (1.1, 0.004)])
 def test_a_landing_is_that_of_scipy(omega: float, change: float) -> None:
     f = driven(omega)
+    changed = f.flow._replace(u0=0.2 + change)
     state = f.first_landing(0.0, 0.0).state
     for _ in range(4):
         landing = f.find_landing(state, change)
-        t, x, x_slip = scipy_landing(omega, 0.2 + change, float(state[0]), float(state[1]))
-        assert difference(f, landing.state, np.array([t, x])) == pytest.approx([0.0, 0.0], abs=3e-9)
-        assert (landing.duration, landing.x_slip) == pytest.approx((t - state[0], x_slip), abs=2e-8)
+        [broken], [landed], _ = follow_by_scipy(changed, state[1], 0.085, 1e4, t=state[0], landings=1)
+        assert difference(f, landing.state, landed) == pytest.approx([0.0, 0.0], abs=3e-9)
+        assert (landing.duration, landing.x_slip) == pytest.approx((landed[0] - state[0], broken[1]), abs=2e-8)
         state = landing.state
 
 
@@ -83,9 +51,8 @@ def test_unstable_orbits_meet_the_reference(name: str) -> None:
     assert abs(found.multipliers[1]) < 1e-8  # a stick forgets all but one number
     # the orbit closes in scipy too: errors of a landing grow by the multiplier
     t, x = found.points[0]
-    for _ in range(period):
-        t, x, _ = scipy_landing(omega, 0.2, t % f.period, x)
-    assert np.max(np.abs(difference(f, np.array([t, x]), found.points[0]))) < 3e-8 * abs(expected["mult"])
+    _, landed, _ = follow_by_scipy(f.flow, x, 0.085, 1e4, t=t, landings=period)
+    assert np.max(np.abs(difference(f, landed[-1], found.points[0]))) < 3e-8 * abs(expected["mult"])
 
 
 @pytest.mark.parametrize(
