@@ -29,6 +29,11 @@ PARKED: dict[str, object] = {
 }
 
 
+@pytest.fixture(autouse=True)
+def handlers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial, "protocol_handler_packages", [*serial.protocol_handler_packages, "rig_sim"])
+
+
 def notice(data: bytes) -> str:
     (frame,) = frames_in(data)
     assert isinstance(frame, Notice)
@@ -215,9 +220,9 @@ def test_blocks_are_refused_where_their_time_difference_would_overflow() -> None
 def test_changing_the_decoder_starts_its_counters_again() -> None:
     board = SimulatedBoard(scene("rig"))
     board.write(b"M jk\n")
-    (ident, _) = frames_in(board.write(b"I\n"))
+    (ident, _, *blocks) = frames_of(board, 3000, b"I\nS\n")
     assert ident.decoder == "jk"
-    taken = record(board, 3000)
+    taken = Record.of(blocks)
     assert taken.up[0] == 0
     assert taken.down[0] == 0
     assert 0.1 < abs(taken.net).max() * 4 * DELTA < 0.2  # lines
@@ -234,12 +239,6 @@ def test_a_motion_that_cannot_go_on_says_so() -> None:
 # The port ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def handlers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial, "protocol_handler_packages", [*serial.protocol_handler_packages, "rig_sim"])
-
-
-@pytest.mark.usefixtures("handlers")
 def test_the_rig_is_a_pyserial_url() -> None:
     port = serial.serial_for_url("rig://rig?set=friction.law%3D3&set=seed%3D4", timeout=1)
     assert type(port).__module__ == "rig_sim.protocol_rig"
@@ -269,7 +268,6 @@ def test_the_rig_is_a_pyserial_url() -> None:
         port.write(b"I\n")
 
 
-@pytest.mark.usefixtures("handlers")
 def test_a_scene_file_goes_into_the_url_percent_encoded(tmp_path: Path) -> None:
     path = tmp_path / "my rig.toml"
     path.write_text(
@@ -281,7 +279,6 @@ def test_a_scene_file_goes_into_the_url_percent_encoded(tmp_path: Path) -> None:
     assert ident.name == "simulated rig, scene my rig"
 
 
-@pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize(
     ("url", "words"),
     [
@@ -304,7 +301,6 @@ def test_url_options() -> None:
     assert parse_url("RIG://rig/?set=a.b=1&set=c.d%3D2%2B1&realtime=1") == ("rig", ["a.b=1", "c.d=2+1"], True)
 
 
-@pytest.mark.usefixtures("handlers")
 def test_a_waiting_read_wakes_on_a_command_and_on_close() -> None:
     port = serial.serial_for_url("rig://rig", timeout=None)
     port.reset_input_buffer()
@@ -325,7 +321,6 @@ def test_a_waiting_read_wakes_on_a_command_and_on_close() -> None:
     assert got[1] == b""
 
 
-@pytest.mark.usefixtures("handlers")
 def test_real_time_brings_samples_no_faster_than_the_clock() -> None:
     port = serial.serial_for_url("rig://rig?realtime=1", timeout=0.3)
     port.reset_input_buffer()
