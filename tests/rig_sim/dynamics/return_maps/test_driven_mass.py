@@ -122,13 +122,6 @@ def test_break_away_lies_where_spring_and_drive_balance_the_level():
         assert 1.0 < max(row["points"]) <= highest + 1e-9
 
 
-def test_a_sweep_over_the_belt_draws_its_diagram(tmp_path):
-    path = tmp_path / "sweep.png"
-    found = answer("sweep forced --over belt.speed=0.25:0.5:2 --section slip --plot", path)
-    assert {row["parameter"] for row in found["rows"]} == {0.25, 0.5}
-    assert path.stat().st_size > 10_000
-
-
 @pytest.mark.parametrize(
     ("flow", "outcomes"),
     [
