@@ -3,40 +3,17 @@
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import mpmath
-import numpy as np
 import pytest
 
 from rig_sim.comparison import reference
-from rig_sim.flow import modes
-from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
-from rig_sim.integrate.events import new_samples
-from rig_sim.integrate.phases import State, sample_phase
-from rig_sim.integrate.work import new_work
 
+from .shared import REFERENCE_FOLDER
 
-@pytest.fixture(scope="session")
-def sampled() -> Callable[..., tuple[Any, Any, Any]]:
-    """Return a function that samples a motion phase by phase."""
-    return _sampled
-
-
-def _sampled(flow: Flow, x: float, v: float, times: Sequence[float]) -> tuple[Any, Any, Any]:
-    """Return x (m), v (m/s) and mode, (n,) each, at increasing times (s); the motion starts at the first of them."""
-    samples, i, work = new_samples(list(times), compiled=False), 0, new_work()
-    at = State(initial_mode(flow, x, v, times[0]), x, v - flow.v_belt, times[0])
-    while i < samples.n:
-        kind, at, i = sample_phase(flow, at, times[-1], samples, i, work)
-        assert kind < modes.FORCE_REVERSAL
-    return np.array(samples.x), np.array(samples.v), np.array(samples.mode)
-
-
-STORED_EVENTS = Path(__file__).parents[1] / "reference" / "events.json"
+STORED_EVENTS = REFERENCE_FOLDER / "events.json"
 STORED_DIGITS = 25
 
 

@@ -13,9 +13,9 @@ from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
-from stickslip.errors import InputError
 
-DELTA = 0.12566 / 4096 / 4
+from ..boards import DELTA, frames_of
+
 CHANNEL: dict[str, object] = {"belt.channel": True}
 STEADY: dict[str, object] = {"scatter.Fs": 0, "jitter.rms": 0}
 
@@ -31,10 +31,6 @@ def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[n
         x.append(path.nodes.x[path.samples])
         F.append(path.F)
     return np.concatenate(counts) * belt.delta, np.concatenate(x), np.concatenate(F)
-
-
-def frames_of(board: SimulatedBoard, samples: int) -> list:  # type: ignore[type-arg]
-    return FrameReader().feed(board.power_up() + board.write(b"I\nS\n") + board.samples(samples) + board.write(b"X\n"))
 
 
 def test_a_steady_belt_counts_from_its_start_on_in_its_direction() -> None:
@@ -99,7 +95,7 @@ def test_the_travel_is_the_integral_of_the_speed_that_the_load_leaves(changes: d
 
 
 def test_the_board_sends_sixteen_bits_of_the_belts_count_and_they_roll_over() -> None:
-    frames = frames_of(SimulatedBoard(scene("rig", **CHANNEL, **STEADY)), 6000)
+    frames = frames_of(SimulatedBoard(scene("rig", **CHANNEL, **STEADY)), 6000, b"I\nS\n")
     idents = [frame for frame in frames if isinstance(frame, Ident)]
     assert all(Capability.BELT in ident.capabilities for ident in idents)
     sent = np.concatenate([frame.belt for frame in frames if isinstance(frame, SampleBlock)])  # type: ignore[misc]
@@ -109,7 +105,10 @@ def test_the_board_sends_sixteen_bits_of_the_belts_count_and_they_roll_over() ->
 
 
 def test_everything_else_the_board_says_is_the_same_with_and_without_the_channel() -> None:
-    plain, counted = (frames_of(SimulatedBoard(scene("rig", **changes)), 3000) for changes in ({}, CHANNEL))
+    plain, counted = (
+        frames_of(SimulatedBoard(scene("rig", **changes)), 3000, b"I\nS\n")
+        for changes in ({"belt.channel": False}, CHANNEL)
+    )
     for one, other in zip(plain, counted, strict=True):
         if isinstance(one, SampleBlock):
             assert one.belt is None
@@ -141,12 +140,3 @@ def test_another_decoder_starts_the_belts_counter_again_too() -> None:
     block = next(frame for frame in frames if isinstance(frame, SampleBlock))
     assert block.belt is not None
     assert 0 <= block.belt[0] <= 60  # one sample of 29 counts after the restart, and its jitter
-
-
-def test_a_channel_needs_an_encoder_to_take_its_pitch_from() -> None:
-    with pytest.raises(InputError, match=r"belt\.channel without an encoder"):
-        scene("base", **CHANNEL)
-    with pytest.raises(InputError, match=r"belt\.channel"):
-        scene("rig", **{"belt.channel": 3})
-    said = frames_of(SimulatedBoard(scene("rig", **{"belt.channel": False})), 8)
-    assert not any(isinstance(frame, SampleBlock) and frame.belt is not None for frame in said)

@@ -3,7 +3,6 @@
 import sys
 import threading
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
@@ -20,7 +19,8 @@ from rig_sim.protocol_rig import Serial, parse_url
 from rig_sim.scenes.scene import scene
 from stickslip.errors import InputError
 
-DELTA = 0.12566 / 4096 / 4
+from ..boards import DELTA, Record, frames_in, frames_of, record
+
 PARKED: dict[str, object] = {
     "belt.start": 100,
     "scatter.Fs": 0,
@@ -29,54 +29,13 @@ PARKED: dict[str, object] = {
 }
 
 
-@dataclass
-class Record:
-    """The samples of a list of frames, joined: device ticks, counters, levels."""
-
-    ticks: np.ndarray
-    up: np.ndarray
-    down: np.ndarray
-    levels: np.ndarray
-    seq: list[int]
-
-    @classmethod
-    def of(cls, frames: list) -> "Record":  # type: ignore[type-arg]
-        blocks = [frame for frame in frames if isinstance(frame, SampleBlock)]
-        ticks = np.concatenate([block.time + np.cumsum(block.dt) for block in blocks])
-        up, down, levels = (
-            np.concatenate([np.asarray(getattr(block, name), dtype=np.int64) for block in blocks])
-            for name in ("up", "down", "status")
-        )
-        return cls(ticks, up, down, levels, [block.seq for block in blocks])
-
-    @property
-    def net(self) -> np.ndarray:
-        """Up minus down, unwrapped."""
-        up, down = (
-            counter[0] + np.cumsum(np.diff(counter, prepend=counter[0]) & 0xFFFF) for counter in (self.up, self.down)
-        )
-        net: np.ndarray = up - down
-        return net
-
-
-def record(board: SimulatedBoard, samples: int, commands: bytes = b"R 1000\nB 8\nS\n") -> Record:
-    data = board.write(commands)
-    while samples > 0:
-        data += board.samples(min(samples, 1000))
-        samples -= 1000
-    data += board.write(b"X\n")
-    reader = FrameReader()
-    frames = reader.feed(data)
-    assert reader.crc_errors == 0
-    return Record.of(frames)
-
-
-def frames_of(data: bytes) -> list:  # type: ignore[type-arg]
-    return FrameReader().feed(data)
+@pytest.fixture(autouse=True)
+def handlers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial, "protocol_handler_packages", [*serial.protocol_handler_packages, "rig_sim"])
 
 
 def notice(data: bytes) -> str:
-    (frame,) = frames_of(data)
+    (frame,) = frames_in(data)
     assert isinstance(frame, Notice)
     return frame.text
 
@@ -117,9 +76,9 @@ def test_counters_wrap_at_sixteen_bits_and_sequence_numbers_too() -> None:
     taken = record(SimulatedBoard(scene("rig")), 30_000)
     assert taken.up.max() <= 0xFFFF
     assert np.any(np.diff(taken.up.astype(int)) < -30_000)  # rolled over
-    assert taken.seq == [8 * i & 0xFFFF for i in range(3750)]
-    many = record(SimulatedBoard(scene("rig", **{"belt.start": 1e6})), 65_544, b"R 100000\nB 8\nS\n")
-    assert many.seq[-2:] == [65_528, 0]
+    np.testing.assert_array_equal(taken.seq, np.arange(30_000))
+    many = record(SimulatedBoard(scene("rig", **{"belt.start": 1e6})), 65_544, b"R 100000\nS\n")
+    assert many.seq[-9:].tolist() == [65_535, *range(8)]
 
 
 def test_recorded_jitter_is_the_jitter_of_the_scene() -> None:
@@ -134,7 +93,7 @@ def test_recorded_jitter_is_the_jitter_of_the_scene() -> None:
 
 
 def test_identification_says_what_the_frames_carry() -> None:
-    ident, config = frames_of(SimulatedBoard(scene("rig", **{"encoder.decoder": "jk"})).write(b"I\n"))
+    ident, config = frames_in(SimulatedBoard(scene("rig", **{"encoder.decoder": "jk"})).write(b"I\n"))
     assert isinstance(ident, Ident)
     assert ident.decoder == "jk"
     assert ident.counter_bits == 16
@@ -148,7 +107,7 @@ def test_config_is_a_measurement_with_errors_about_the_truth() -> None:
     z = []
     for seed in range(200):
         board = SimulatedBoard(scene("rig", seed=seed, **{"damper.c": 0.2, "spring.x0": 0.01}))
-        _, config = frames_of(board.write(b"I\n"))
+        _, config = frames_in(board.write(b"I\n"))
         rig = Rig.from_toml(config.toml, "CONFIG")
         assert rig.stiffness is None
         assert rig.counts_per_revolution == 16_384
@@ -172,7 +131,7 @@ def test_config_is_a_measurement_with_errors_about_the_truth() -> None:
     assert rig.datum is not None
     assert rig.datum.sd == pytest.approx(0.5e-3, rel=0.01)
     again = SimulatedBoard(scene("rig", seed=199, **{"damper.c": 0.2, "spring.x0": 0.01})).write(b"I\n")
-    assert frames_of(again)[1] == config
+    assert frames_in(again)[1] == config
 
 
 @pytest.mark.parametrize("start", [0.0, 0.0123456, -0.1])
@@ -180,8 +139,7 @@ def test_config_is_a_measurement_with_errors_about_the_truth() -> None:
 def test_the_datum_turns_counts_into_positions_from_the_spring(decoder: str, start: float) -> None:
     board = SimulatedBoard(scene("rig", **{"start.x": start, "encoder.decoder": decoder, "scatter.Fs": 0}))
     lines = 1 if decoder == "x4" else 4
-    data = board.write(b"I\nS\n") + board.samples(2000)
-    frames = frames_of(data)
+    frames = frames_of(board, 2000, b"I\nS\n")
     rig = Rig.from_toml(frames[1].toml, "CONFIG")
     assert rig.datum is not None
     assert rig.metres_per_count is not None
@@ -193,7 +151,7 @@ def test_the_datum_turns_counts_into_positions_from_the_spring(decoder: str, sta
 def test_truth_comes_only_when_asked_and_is_exact() -> None:
     truthful = scene("rig", tell={"truth": True})
     board = SimulatedBoard(truthful)
-    frames = frames_of(board.write(b"S\n") + board.samples(3000) + board.write(b"X\n"))
+    frames = frames_of(board, 3000)
     rows = np.array([row for frame in frames if isinstance(frame, TruthFrame) for row in frame.rows])
     assert rows.shape == (3000, 4)
     taken = Record.of(frames)
@@ -202,26 +160,22 @@ def test_truth_comes_only_when_asked_and_is_exact() -> None:
     stick = rows[:, 2] == 0.22
     assert stick.sum() > 500
     np.testing.assert_allclose(rows[stick, 3], truthful.spring.k * rows[stick, 1], rtol=1e-9, atol=1e-12)
-    untold = SimulatedBoard(scene("rig"))
-    silent = frames_of(untold.write(b"S\n") + untold.samples(3000))
+    silent = frames_of(SimulatedBoard(scene("rig")), 3000)
     assert not any(isinstance(frame, TruthFrame) for frame in silent)
     np.testing.assert_array_equal(Record.of(silent).up, taken.up)
 
 
 def test_single_frames_and_a_partial_last_block() -> None:
-    board = SimulatedBoard(scene("rig"))
-    single = frames_of(board.write(b"B 1\nR 500\nS\n") + board.samples(10))
+    single = frames_of(SimulatedBoard(scene("rig")), 10, b"B 1\nR 500\nS\n")
     assert [len(frame.up) for frame in single] == [1] * 10
     blocks = SimulatedBoard(scene("rig"))
-    data = blocks.write(b"S\n") + blocks.samples(13) + blocks.write(b"X\n")
-    assert [len(frame.up) for frame in frames_of(data)] == [8, 5]
+    assert [len(frame.up) for frame in frames_of(blocks, 13)] == [8, 5]
     assert blocks.samples(5) == b""
 
 
 def test_a_second_start_counts_sequence_numbers_from_zero_and_the_motion_goes_on() -> None:
     board = SimulatedBoard(scene("rig"))
-    first = Record.of(frames_of(board.write(b"S\n") + board.samples(1000) + board.write(b"X\n")))
-    second = Record.of(frames_of(board.write(b"S\n") + board.samples(1000) + board.write(b"X\n")))
+    first, second = record(board, 1000), record(board, 1000)
     assert second.seq[0] == 0
     assert 500 < second.ticks[0] - first.ticks[-1] < 1500
     assert abs(int(second.net[0]) - int(first.net[-1])) < 200
@@ -266,9 +220,9 @@ def test_blocks_are_refused_where_their_time_difference_would_overflow() -> None
 def test_changing_the_decoder_starts_its_counters_again() -> None:
     board = SimulatedBoard(scene("rig"))
     board.write(b"M jk\n")
-    (ident, _) = frames_of(board.write(b"I\n"))
+    (ident, _, *blocks) = frames_of(board, 3000, b"I\nS\n")
     assert ident.decoder == "jk"
-    taken = record(board, 3000, b"S\n")
+    taken = Record.of(blocks)
     assert taken.up[0] == 0
     assert taken.down[0] == 0
     assert 0.1 < abs(taken.net).max() * 4 * DELTA < 0.2  # lines
@@ -276,26 +230,15 @@ def test_changing_the_decoder_starts_its_counters_again() -> None:
 
 def test_a_motion_that_cannot_go_on_says_so() -> None:
     board = SimulatedBoard(scene("rig", **{"friction.law": 3, "friction.G_slip": 5, "start.v": -2.0}))
-    frames = frames_of(board.write(b"S\n") + board.samples(5000))
+    frames = frames_of(board, 5000)
     assert isinstance(frames[-1], Notice)
     assert "force reversal" in frames[-1].text
     assert not board.running
 
 
-def test_a_scene_without_an_encoder_cannot_be_recorded() -> None:
-    with pytest.raises(InputError, match=r"no encoder.*encoder\.lines_per_rev"):
-        SimulatedBoard(scene("base"))
-
-
 # The port ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def handlers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial, "protocol_handler_packages", [*serial.protocol_handler_packages, "rig_sim"])
-
-
-@pytest.mark.usefixtures("handlers")
 def test_the_rig_is_a_pyserial_url() -> None:
     port = serial.serial_for_url("rig://rig?set=friction.law%3D3&set=seed%3D4", timeout=1)
     assert type(port).__module__ == "rig_sim.protocol_rig"
@@ -325,7 +268,6 @@ def test_the_rig_is_a_pyserial_url() -> None:
         port.write(b"I\n")
 
 
-@pytest.mark.usefixtures("handlers")
 def test_a_scene_file_goes_into_the_url_percent_encoded(tmp_path: Path) -> None:
     path = tmp_path / "my rig.toml"
     path.write_text(
@@ -337,7 +279,6 @@ def test_a_scene_file_goes_into_the_url_percent_encoded(tmp_path: Path) -> None:
     assert ident.name == "simulated rig, scene my rig"
 
 
-@pytest.mark.usefixtures("handlers")
 @pytest.mark.parametrize(
     ("url", "words"),
     [
@@ -360,7 +301,6 @@ def test_url_options() -> None:
     assert parse_url("RIG://rig/?set=a.b=1&set=c.d%3D2%2B1&realtime=1") == ("rig", ["a.b=1", "c.d=2+1"], True)
 
 
-@pytest.mark.usefixtures("handlers")
 def test_a_waiting_read_wakes_on_a_command_and_on_close() -> None:
     port = serial.serial_for_url("rig://rig", timeout=None)
     port.reset_input_buffer()
@@ -381,7 +321,6 @@ def test_a_waiting_read_wakes_on_a_command_and_on_close() -> None:
     assert got[1] == b""
 
 
-@pytest.mark.usefixtures("handlers")
 def test_real_time_brings_samples_no_faster_than_the_clock() -> None:
     port = serial.serial_for_url("rig://rig?realtime=1", timeout=0.3)
     port.reset_input_buffer()
@@ -389,7 +328,7 @@ def test_real_time_brings_samples_no_faster_than_the_clock() -> None:
     port.write(b"R 200\nB 1\nS\n")
     data = port.read(10**6)
     passed = time.monotonic() - began
-    samples = len(frames_of(data))
+    samples = len(frames_in(data))
     assert 0 < samples <= passed * 200 + 1
     port.close()
 
@@ -412,5 +351,5 @@ def test_the_port_needs_no_heavy_package() -> None:
 def test_jitter_that_is_cut_off_is_said_in_the_boards_name(rms: float, rate: int, said: str) -> None:
     # It used to be capped silently.
     board = SimulatedBoard(scene("rig", **{"jitter.rms": rms}))
-    ident = frames_of(board.write(b"R %d\nI\n" % rate))[0]
+    ident = frames_in(board.write(b"R %d\nI\n" % rate))[0]
     assert ident.name == f"simulated rig, scene rig{said}"

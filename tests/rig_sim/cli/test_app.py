@@ -14,13 +14,13 @@ import pytest
 
 import rig_sim
 from rig_sim.cli.app import app
-from rig_sim.comparison import error_vs_time
 from rig_sim.functions.maps import format_with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
 from stickslip.console import application
 
-CASES = json.loads((Path(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())["cases"]
+from ..shared import LIMIT_CYCLES, answer, settings
+
 KEYS = {
     "law": "friction.law",
     "Gs": "friction.G_slip",
@@ -31,17 +31,9 @@ KEYS = {
 }
 
 
-def answer(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> Any:
-    assert application.run(app, [*arguments, "--json"]) == code
-    printed = capsys.readouterr()
-    assert printed.err == ""
-    return json.loads(printed.out)
-
-
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
-def test_cycle_meets_the_reference_through_set(capsys: pytest.CaptureFixture[str], case: dict[str, Any]) -> None:
-    changes = [f"--set={KEYS[key]}={value}" for key, value in case["params"].items()]
-    found = answer(capsys, "cycle", "base", *changes)
+@pytest.mark.parametrize("case", LIMIT_CYCLES["cases"], ids=lambda case: case["name"])
+def test_cycle_meets_the_reference_through_set(case: dict[str, Any]) -> None:
+    found = answer("cycle base", *settings(*(f"{KEYS[key]}={value}" for key, value in case["params"].items())))
     if "result" in case:  # no limit cycle there
         assert found["outcome"] == "fixed point"
         return
@@ -50,16 +42,16 @@ def test_cycle_meets_the_reference_through_set(capsys: pytest.CaptureFixture[str
     assert found["sequence"] == case.get("slip_sequence", "NS")
 
 
-def test_cycle_has_the_promised_keys(capsys: pytest.CaptureFixture[str]) -> None:
-    found = answer(capsys, "cycle", "base")
+def test_cycle_has_the_promised_keys() -> None:
+    found = answer("cycle base")
     promised = "period t_stick t_slip x_slip x_stick x_min x_max v_min v_max sequence outcome".split()
     assert set(promised) <= set(found)
     for law in (1, 2):
-        assert answer(capsys, "cycle", "base", "--set", f"friction.law={law}")["outcome"] == "grazing"
+        assert answer(f"cycle base --set friction.law={law}")["outcome"] == "grazing"
 
 
 def test_scenes_lists_name_title_and_terms(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = answer(capsys, "scenes")
+    rows = answer("scenes")
     assert [row["name"] for row in rows] == ["base", "damped", "forced", "rig", "two-mass"]
     assert rows[0]["terms"] == ["mass", "spring", "belt", "friction", "start"]
     assert all(row["title"] for row in rows)
@@ -68,21 +60,20 @@ def test_scenes_lists_name_title_and_terms(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_events_have_the_promised_keys(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("--set", "drive.u0=0.2", "--set", "drive.omega=0.3", "--until", "60")
-    found = answer(capsys, "events", "base", *arguments)
+    found = answer("events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3")
     assert set(found) >= {"events", "outcome", "steps"}
     assert set(found["events"][0]) == {"t", "x", "kind"}
     assert len(found["events"]) == 15
-    short = answer(capsys, "events", "base", "--until", "60", "--max-steps", "5")
+    short = answer("events base --until 60 --max-steps 5")
     assert (short["outcome"], short["steps"]) == ("step limit", 5)
-    assert application.run(app, ["events", "base", "--until", "60", "--max-steps", "5"]) == 0
+    assert application.run(app, "events base --until 60 --max-steps 5".split()) == 0
     assert "raise the number of steps" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("ending", [".csv", ".h5"])
-def test_run_writes_the_exact_motion(capsys: pytest.CaptureFixture[str], tmp_path: Path, ending: str) -> None:
+def test_run_writes_the_exact_motion(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"motion{ending}"
-    found = answer(capsys, "run", "rig", "--until", "3", "--rate", "250", "-o", str(path), "--set", "seed=8")
+    found = answer("run rig --until 3 --rate 250 --set seed=8 -o", path)
     assert (found["samples"], found["outcome"]) == (751, "completed")
     table: Any
     if ending == ".csv":
@@ -103,63 +94,16 @@ def test_run_writes_the_exact_motion(capsys: pytest.CaptureFixture[str], tmp_pat
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
-def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_run_never_replaces_a_file_unasked(tmp_path: Path) -> None:
     path = tmp_path / "kept.csv"
     path.write_text("mine")
-    arguments = ("run", "rig", "--until", "1", "--rate", "10", "-o", str(path))
-    error = answer(capsys, *arguments, code=2)["error"]
+    line = "run rig --until 1 --rate 10 -o"
+    error = answer(line, path, code=2)["error"]
     assert (error["what"], error["where"]) == ("the output file exists", str(path))
     assert "--force" in error["do"]
     assert path.read_text() == "mine"
-    answer(capsys, *arguments, "--force")
+    answer(line, path, "--force")
     assert path.read_text().startswith("t,x,v,F\n")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "where"),
-    [
-        (["run", "rig", "--until", "1", "--rate", "10", "-o", "a.png"], "a.png"),
-        (["run", "rig", "--until", "1", "--rate", "0", "-o", "a.csv"], "--rate"),
-        (["run", "rig", "--until", "nan", "--rate", "10", "-o", "a.csv"], "--until"),
-        (["run", "rig", "--until", "1", "--rate", "10", "-o", "none/a.csv"], "none/a.csv"),
-        (["events", "rig", "--until", "0"], "--until"),
-        (["events", "rig", "--until", "1", "--max-steps", "0"], "--max-steps"),
-        (["cycle", "bass"], "scene"),
-        (["cycle", "base", "--set", "friction.Gama=1"], "scene base"),
-        (["cycle", "base", "--set", "friction"], "--set"),
-        (["cycle"], "command line"),
-        (["basins", "two-mass", "--cells", "1000.5"], "command line"),  # was read as 1000
-        (["maps", "base"], "command line"),
-        # Each of these used to be accepted and to give nonsense, or to run for ever.
-        (
-            ["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "rk4-henon", "--step", "9"],
-            "--step",
-        ),
-        (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "dop853", "--rtol", "1"], "--rtol"),
-        (["compare", "base", "--until", "1e6"], "--until"),
-        (["cycle", "base", "--set", "friction.law=true"], "scene base"),
-        (["cycle", "base", "--set", "belt.ripple_hz=2"], "scene base"),
-        (["cycle", "/dev/full"], "/dev/full"),
-        (["cycle", "."], "."),
-    ],
-)
-def test_bad_input_is_one_line_and_exit_2(
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    where: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    error = answer(capsys, *arguments, code=2)["error"]
-    assert error["where"] == where
-    assert error["what"]
-    assert error["do"]
-    assert application.run(app, arguments) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_light_commands_import_no_array_package() -> None:
@@ -167,7 +111,7 @@ def test_light_commands_import_no_array_package() -> None:
         "import sys; from stickslip.console import application; from rig_sim.cli.app import app\n"
         "for line in ('--help', 'scenes', 'cycle base', 'events rig --until 20'):\n"
         "    assert application.run(app, line.split()) == 0, line\n"
-        "    heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'pandas', 'h5py'} & set(sys.modules)\n"
+        "    heavy = {'numpy', 'scipy', 'mpmath', 'numba', 'matplotlib', 'pandas', 'h5py'} & set(sys.modules)\n"
         "    assert not heavy, (line, heavy)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -182,32 +126,10 @@ def test_the_package_imports_nothing_until_asked() -> None:
     assert rig_sim.events(rig_sim.scene("base"), 3.0).outcome == "completed"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "what", "do"),
-    [
-        (["cycle", "base", "--set", "friction.law=true"], "friction.law is True",
-         "it should be 0, 1, 2, 3, 4, 5, 6, lugre, dahl, ageing or slip"),
-        (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "dop853", "--rtol", "1"], "is 1",
-         "give at least 2.3e-14 and less than 1, such as 1e-9"),
-        (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "rk4-henon", "--step", "100"],
-         "is 100, and the period of the mass is 6.283: too long a step to follow it",
-         "give 1 (a sixth of it) or less; the default is 0.01"),
-    ],
-)  # fmt: skip
-def test_a_refusal_tells_the_number_and_the_remedy(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], what: str, do: str
-) -> None:
-    error = answer(capsys, *arguments, code=2)["error"]
-    assert (error["what"], error["do"]) == (what, do)
-
-
-def test_a_scene_file_without_an_end_is_not_read_to_it(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # rig-sim cycle /dev/full used to read for ever.
+def test_a_scene_file_without_an_end_is_not_read_to_it(tmp_path: Path) -> None:
     large = tmp_path / "large.toml"
     large.write_text("# much\n" * 200_000)
-    error = answer(capsys, "cycle", str(large), code=2)["error"]
+    error = answer("cycle", large, code=2)["error"]
     assert "larger than any scene: over 1048576 bytes" in error["what"]
 
 
@@ -248,13 +170,3 @@ def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> No
 )
 def test_a_value_has_the_digits_that_its_error_leaves(value, stderr, text):
     assert format_with_error(value, stderr) == text
-
-
-@pytest.mark.parametrize("scene", ["base", "rig"])
-def test_the_table_of_methods_shows_their_names_whole(scene, capsys, monkeypatch):
-    # Beside "other events from t = 18.2702" the name rk4-henon was cut to "rk4-h...".
-    monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(error_vs_time, "LONG_ENOUGH_S", 0.0)  # nothing here is about CPU times
-    assert application.run(app, ["compare", scene, "--until", "10"]) == 0
-    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("rk4-henon ")]
-    assert len(table) == 4

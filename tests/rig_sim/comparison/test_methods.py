@@ -1,7 +1,7 @@
 """``rig-sim run --method``: three methods, one file; dop853 to its tolerance, the thesis's to the fourth order."""
 
-import json
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +9,11 @@ import h5py
 import numpy as np
 import pytest
 
-from rig_sim.cli.app import app
 from rig_sim.comparison.methods import METHODS, choose_phases
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
-from stickslip.console import application
-from stickslip.errors import InputError
+
+from ..shared import answer
 
 EFFECTS: dict[str, dict[str, object]] = {
     "scatter": {"scatter.Fs": 0.05, "seed": 3},
@@ -31,7 +30,12 @@ EFFECTS: dict[str, dict[str, object]] = {
 
 
 def played(method: str, changes: dict[str, object], until: float = 30.0, **setting: float) -> tuple[np.ndarray, Any]:  # type: ignore[type-arg]
-    found = scene("base", **changes)
+    return play_once(method, tuple(changes.items()), until, tuple(setting.items()))
+
+
+@cache
+def play_once(method: str, changes: Any, until: float, settings: Any) -> tuple[np.ndarray, Any]:  # type: ignore[type-arg]
+    found, setting = scene("base", **dict(changes)), dict(settings)
     motion = ScenePlayer(found, phases=choose_phases(method, found, **setting)[0])
     motion.events = []
     path = motion.follow(np.linspace(0.0, until, 301), forces=True)
@@ -69,26 +73,34 @@ def test_every_section_plays_with_every_method(method: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("law", [3, 4, 5, 6])
-def test_sampled_motion_of_the_thesis_method_converges_with_the_fourth_power_of_its_step(law: int) -> None:
-    exact, _ = played("exact", {"friction.law": law})
-    errors = [
-        np.abs(played("rk4-henon", {"friction.law": law}, step=step)[0][1:3] - exact[1:3]).max()
-        for step in (0.02, 0.005)
-    ]
-    assert 3.5 < math.log(errors[0] / errors[1]) / math.log(4.0) < 5.0
-    assert errors[1] < 1e-7
+@pytest.mark.parametrize(
+    "changes", [{}, {"belt.speed": -0.5, "damper.c": 0.02}, {"drive.u0": 0.1, "drive.omega": 0.7}], ids=str
+)
+def test_the_thesis_method_converges_with_the_fourth_power_of_its_step(law: int, changes: dict[str, object]) -> None:
+    changes = {"friction.law": law, **changes}
+    exact, events = played("exact", changes)
+    errors = []
+    for step in (0.02, 0.005):
+        found, others = played("rk4-henon", changes, step=step)
+        assert [event.kind for event in others] == [event.kind for event in events]
+        late = max(abs(one.t - other.t) for one, other in zip(others, events, strict=True))
+        errors.append((late, np.abs(found[1:3] - exact[1:3]).max()))
+    for coarse, fine in zip(*errors, strict=True):
+        assert 3.5 < math.log(coarse / fine) / math.log(4.0) < 5.0
+        assert fine < 1e-7
+
+
+def test_the_thesis_method_has_the_first_stick_of_law_1_in_closed_form() -> None:
+    _, events = played("rk4-henon", {"friction.law": 1}, until=3.0, step=0.001)
+    assert [event.t for event in events] == pytest.approx((math.pi / 6, math.pi / 6 + math.sqrt(3)), abs=1e-12)
 
 
 @pytest.mark.parametrize("ending", [".h5", ".csv"])
-def test_the_file_is_the_same_for_all_methods_and_names_its_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str
-) -> None:
+def test_the_file_is_the_same_for_all_methods_and_names_its_own(tmp_path: Path, ending: str) -> None:
     shapes = []
     for method in METHODS:
         path = tmp_path / f"{method}{ending}"
-        line = ["run", "base", "--until", "10", "--rate", "20", "-o", str(path), "--method", method, "--json"]
-        assert application.run(app, line) == 0
-        printed = json.loads(capsys.readouterr().out)
+        printed = answer(f"run base --until 10 --rate 20 --method {method} -o", path)
         assert (printed["method"], printed["samples"], printed["outcome"]) == (method, 201, "completed")
         if ending == ".csv":
             head, *rows = path.read_text().splitlines()
@@ -103,31 +115,20 @@ def test_the_file_is_the_same_for_all_methods_and_names_its_own(
     assert shapes[0] == shapes[1] == shapes[2]
 
 
+@pytest.mark.parametrize("method", ["rk4-henon", "dop853"])
 @pytest.mark.parametrize(
-    ("method", "setting", "where"),
+    ("changes", "steps", "outcome"),
     [
-        ("rk5", {}, "--method"),
-        ("exact", {"step": 0.1}, "--step"),
-        ("exact", {"rtol": 0.1}, "--rtol"),
-        ("dop853", {"step": 0.1}, "--step"),
-        ("rk4-henon", {"step": 0.0}, "--step"),
-        ("rk4-henon", {"step": math.nan}, "--step"),
-        ("dop853", {"rtol": 1e-16}, "--rtol"),
+        ({}, 50, "step limit"),
+        ({"friction.law": 3, "friction.G_slip": 1.0, "start.x": 0.9, "start.v": 0.5}, 100_000, "force reversal"),
     ],
 )
-def test_a_setting_the_method_does_not_have_is_refused(method: str, setting: dict[str, float], where: str) -> None:
-    with pytest.raises(InputError) as caught:
-        choose_phases(method, scene("base"), **setting)
-    assert caught.value.where == where
-
-
-@pytest.mark.parametrize("method", ["rk4-henon", "dop853"])
-def test_the_step_limit_ends_any_method_by_name(method: str) -> None:
-    base = scene("base")
-    motion = ScenePlayer(base, max_steps=50, phases=choose_phases(method, base)[0])
+def test_a_motion_by_any_method_ends_by_name(method: str, changes: dict[str, object], steps: int, outcome: str) -> None:
+    ending = scene("base", **changes)
+    motion = ScenePlayer(ending, max_steps=steps, phases=choose_phases(method, ending)[0])
     assert not motion.advance(1000.0)
-    assert motion.outcome.name == "step limit"
-    assert motion.steps == 50
+    assert motion.outcome.name == outcome
+    assert motion.steps == steps or outcome == "force reversal"
 
 
 def test_a_phase_that_grazes_its_edge_ends_within_its_step() -> None:

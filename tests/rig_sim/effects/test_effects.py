@@ -10,70 +10,42 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.wire.frames import FrameReader, SampleBlock, TruthFrame
+from daq.wire.frames import TruthFrame
 from daq.wire.quadrature import PHASE
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.board.gaps import SilentStretches
 from rig_sim.motion.file import write
+from rig_sim.motion.play import events
 from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.scene import scene
 from rig_sim.scenes.sections import Gaps, SlipLoss
 
-DELTA = 0.12566 / 4096 / 4
+from ..boards import DELTA, Record, frames_of, record
+
 LOSSES: dict[str, object] = {"slip_loss.rate": 0.8, "slip_loss.counts": 60, "slip_loss.samples": 4}
 GAPS: dict[str, object] = {"gaps.rate": 0.5, "gaps.duration": 0.05}
-
-
-def frames_of(board: SimulatedBoard, samples: int, at_once: int = 1000) -> list:  # type: ignore[type-arg]
-    data = board.write(b"S\n")
-    for first in range(0, samples, at_once):
-        data += board.samples(min(at_once, samples - first))
-    return FrameReader().feed(data + board.write(b"X\n"))
-
-
-def blocks_of(frames: list) -> list[SampleBlock]:  # type: ignore[type-arg]
-    return [frame for frame in frames if isinstance(frame, SampleBlock)]
-
-
-def column(blocks: list[SampleBlock], name: str) -> np.ndarray:
-    return np.concatenate([np.asarray(getattr(block, name), dtype=np.int64) for block in blocks])
-
-
-def numbers(blocks: list[SampleBlock]) -> np.ndarray:
-    return np.concatenate([block.seq + np.arange(len(block.up)) for block in blocks])
-
-
-def ticks(blocks: list[SampleBlock]) -> np.ndarray:
-    return np.concatenate([block.time + np.cumsum(block.dt) for block in blocks])
-
-
-def net(blocks: list[SampleBlock]) -> np.ndarray:
-    difference = column(blocks, "up") - column(blocks, "down")
-    steps = (np.diff(difference, prepend=difference[0]) + 0x8000 & 0xFFFF) - 0x8000
-    total: np.ndarray = difference[0] + np.cumsum(steps)
-    return total
 
 
 # Counts lost ---------------------------------------------------------------------------------------------------------
 
 
 def test_lost_counts_are_missing_for_good_and_against_the_motion() -> None:
-    whole, losing = (blocks_of(frames_of(SimulatedBoard(scene("rig", **also)), 20_000)) for also in ({}, LOSSES))  # type: ignore[arg-type]
-    np.testing.assert_array_equal(ticks(whole), ticks(losing))
-    missing = net(whole) - net(losing)
+    whole, losing = (record(SimulatedBoard(scene("rig", **also)), 20_000) for also in ({}, LOSSES))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(whole.ticks, losing.ticks)
+    missing = whole.net - losing.net
     assert abs(missing[0]) == 0
     plateaus = [value for value, following in pairwise(missing) if abs(following - value) > 5]
     steps = np.diff(missing)
     begun = np.flatnonzero((np.abs(steps) > 5) & (np.abs(np.roll(steps, 1)) <= 5))
     assert 8 <= len(begun) <= 26  # 0.8 a second for 20 s
     assert len(plateaus) >= len(begun)
-    motion = net(whole)
+    motion = whole.net
     for at in begun:
         lost = missing[at + 5] - missing[at]
         assert abs(lost) == pytest.approx(60, abs=2)
         assert np.sign(lost) == np.sign(motion[at + 1] - motion[at - 1])
     # the board sees nothing odd: levels and counters of the slipping cog agree
-    np.testing.assert_array_equal(net(losing) % 4, PHASE[column(losing, "status")])
+    np.testing.assert_array_equal(losing.net % 4, PHASE[losing.levels])
 
 
 def test_a_loss_follows_the_cubic_over_its_samples() -> None:
@@ -93,7 +65,7 @@ def test_a_loss_follows_the_cubic_over_its_samples() -> None:
 
 def test_a_mass_at_rest_loses_nothing() -> None:
     still: dict[str, object] = {"belt.start": 100, **LOSSES, "slip_loss.rate": 50}
-    assert np.ptp(net(blocks_of(frames_of(SimulatedBoard(scene("rig", **still)), 3000)))) == 0
+    assert np.ptp(record(SimulatedBoard(scene("rig", **still)), 3000).net) == 0
 
 
 def test_the_exact_motion_sent_is_the_mass_not_the_slipping_cog() -> None:
@@ -118,11 +90,11 @@ def test_the_exact_motion_sent_is_the_mass_not_the_slipping_cog() -> None:
 def test_samples_in_a_gap_are_missing_and_all_others_unchanged(at_once: int) -> None:
     truthful = {"tell.truth": True}
     whole = frames_of(SimulatedBoard(scene("rig", **truthful)), 20_000)
-    gappy = frames_of(SimulatedBoard(scene("rig", **truthful, **GAPS)), 20_000, at_once)
-    all_blocks, blocks = blocks_of(whole), blocks_of(gappy)
-    sent = numbers(blocks)
-    np.testing.assert_array_equal(column(blocks, "up"), column(all_blocks, "up")[sent])
-    np.testing.assert_array_equal(ticks(blocks), ticks(all_blocks)[sent])
+    gappy = frames_of(SimulatedBoard(scene("rig", **truthful, **GAPS)), 20_000, at_once=at_once)
+    everything, some = Record.of(whole), Record.of(gappy)
+    sent = some.seq
+    np.testing.assert_array_equal(some.up, everything.up[sent])
+    np.testing.assert_array_equal(some.ticks, everything.ticks[sent])
     jumps = np.diff(sent)
     lengths = jumps[jumps > 1] - 1
     assert 4 <= len(lengths) <= 20  # 0.5 a second for 20 s
@@ -147,17 +119,25 @@ def test_gaps_come_at_their_rate() -> None:
 def test_the_seed_makes_an_effect_again_and_another_seed_another_one(effect: dict[str, object]) -> None:
     steady = {**effect, "scatter.Fs": 0, "jitter.rms": 0}
     first, again, other = (
-        blocks_of(frames_of(SimulatedBoard(scene("rig", seed=seed, **steady)), 10_000))
+        frames_of(SimulatedBoard(scene("rig", seed=seed, **steady)), 10_000)
         for seed in (3, 3, 4)  # type: ignore[arg-type]
     )
     assert first == again
     assert first != other
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [{"droop.fraction": 0.0}, {"belt.ripple": 0.0, "belt.ripple_hz": 3.0}, {"shaker.a": 0.0, "shaker.phi": 2.0}],
+    ids=str,
+)
+def test_an_effect_of_no_size_is_no_effect(changes: dict[str, object]) -> None:
+    assert events(scene("rig", **changes), 20.0) == events(scene("rig"), 20.0)
+
+
 def test_effects_draw_from_streams_of_their_own() -> None:
-    both = blocks_of(frames_of(SimulatedBoard(scene("rig", **LOSSES, **GAPS)), 10_000))
-    losing = blocks_of(frames_of(SimulatedBoard(scene("rig", **LOSSES)), 10_000))
-    np.testing.assert_array_equal(column(both, "up"), column(losing, "up")[numbers(both)])
+    both, losing = (record(SimulatedBoard(scene("rig", **LOSSES, **also)), 10_000) for also in (GAPS, {}))
+    np.testing.assert_array_equal(both.up, losing.up[both.seq])
 
 
 IMPORTED = """

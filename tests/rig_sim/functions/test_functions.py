@@ -19,6 +19,9 @@ from rig_sim.dynamics.pictures import control
 from stickslip.console import application
 from stickslip.errors import InputError
 
+from ..dynamics.textbook import Logistic
+from ..shared import answer
+
 FUNCTIONS = [name for name in rig_sim.__all__ if inspect.isfunction(getattr(rig_sim, name))]
 
 
@@ -96,22 +99,12 @@ def results():
     return of
 
 
-def document(capsys, line):
-    assert application.run(app, [*line.split(), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 @pytest.mark.parametrize("name", CALLS)
 def test_function_command_and_json_give_the_same_numbers(capsys, results, name):
     found, line = results(name), CALLS[name][1]
-    assert json.loads(json.dumps(application.plain(found.as_json()))) == document(capsys, line)
+    assert json.loads(json.dumps(application.plain(found.as_json()))) == answer(line)
     assert application.run(app, line.split()) == 0
     assert capsys.readouterr().out.rstrip("\n") == str(found)
-
-
-def test_every_function_is_compared_with_its_command():
-    commands = {name for name in FUNCTIONS if name not in ("scene", "run", "compare")}
-    assert commands == {name.split(" ")[0].rstrip(",") for name in CALLS}
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -162,11 +155,11 @@ def test_a_result_is_short_to_read_and_a_table_in_a_notebook(results, name):
     assert len(found._repr_html_()) < 20_000
 
 
-def test_a_run_in_memory_is_the_run_in_a_file(capsys, tmp_path):
+def test_a_run_in_memory_is_the_run_in_a_file(tmp_path):
     held = rig_sim.run("rig", until="2 s", rate="1 kHz")
     for suffix in ("h5", "csv"):
         path = tmp_path / f"motion.{suffix}"
-        data = document(capsys, f"run rig --until 2 --rate 1000 -o {path}")
+        data = answer(f"run rig --until 2 --rate 1000 -o {path}")
         written = rig_sim.run("rig", until=2, rate=1000, output=path, force=True)
         assert data == application.plain(written.as_json())
         assert data == application.plain(held.as_json() | {"file": path})
@@ -181,8 +174,8 @@ def test_a_run_in_memory_is_the_run_in_a_file(capsys, tmp_path):
     assert isinstance(both.plot(), Figure)
 
 
-def test_a_comparison_has_the_rows_that_its_command_prints(capsys):
-    found, data = rig_sim.compare("base", until=15), document(capsys, "compare base --until 15")
+def test_a_comparison_has_the_rows_that_its_command_prints():
+    found, data = rig_sim.compare("base", until=15), answer("compare base --until 15")
     table = found.to_dataframe()
     assert list(table.columns) == list(data["rows"][0])
     assert [(row["method"], row["setting"], row["error"]) for row in data["rows"]] == [
@@ -243,18 +236,6 @@ def test_flags_of_the_commands_are_keywords_of_the_functions():
 # Systems of one's own -------------------------------------------------------------------------------------------------
 
 
-class Logistic(rig_sim.FormulaMap):
-    """x' = (r + u) x (1 - x)."""
-
-    def __init__(self, r):
-        super().__init__(1.0, interval=(0.0, 1.0), strength=r)
-        self.r = r
-
-    def step(self, x, change=0.0):
-        r = self.r + change
-        return r * x * (1.0 - x), r * (1.0 - 2.0 * x), 1.0
-
-
 class Henon(rig_sim.FormulaMap):
     """x' = a + u - x^2 + b y, y' = x."""
 
@@ -288,6 +269,11 @@ def test_a_family_of_maps_is_swept_and_continued():
     assert rows["points"][1] == pytest.approx((0.5130445, 0.7994555), abs=1e-7)
     found = rig_sim.continue_(Logistic, over=("r", np.linspace(2.82, 3.12, 4)))
     assert [(point.kind, point.value) for point in found.points] == [("period-doubling", pytest.approx(3.0, abs=1e-8))]
+    assert {(branch.kind, branch.stable) for branch in found.branches} == {
+        ("period 1", True),
+        ("period 1", False),
+        ("period 2", True),
+    }
     assert isinstance(rig_sim.sweep(Logistic, over="r=2.9:3.5:3").plot(), Figure)
     with pytest.raises(InputError, match="is no map of an interval"):
         rig_sim.continue_(Henon, over="a=1:1.2:3")

@@ -7,10 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
 from stickslip.compute.compile import ANNOUNCEMENT
+
+from ..shared import flow_of
 
 CASES = [
     *({"law": law} for law in LAWS),
@@ -18,13 +19,13 @@ CASES = [
     {"law": 5, "gamma": 10.0, "v_belt": -0.5},
     {"law": 5, "u0": 0.2, "omega": 1.1},
     {"law": 4, "u0": 0.2, "omega": 1.1, "d": 2e-7},
+    {"law": 5, "u0": 0.1, "omega": 0.7, "droop": 0.02},
 ]
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_compiled_equals_interpreted_bit_for_bit(case):
-    changes = {key: number for key, number in case.items() if key != "law"}
-    flow = Flow(curve=LAWS[case["law"]].curve_code, ramp=LAWS[case["law"]].ramp, **changes)
+    flow = flow_of(**case)
     interpreted = list_events(flow, 0.1, 0.0, 60.0, every_cycle=True)
     assert len(interpreted.t) > 10
     machine = list_events(flow, 0.1, 0.0, 60.0, every_cycle=True, compiled=True)

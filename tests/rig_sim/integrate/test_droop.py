@@ -1,9 +1,7 @@
 """Droop: a belt that slows under load; laws 1 and 3 become 2 and 4 exactly, law 5 an independent solution's motion."""
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from scipy.optimize import brentq
 
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
-from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP
 from rig_sim.friction import contact
 from rig_sim.friction.law import LAWS
@@ -21,11 +18,8 @@ from rig_sim.integrate.phases import State, next_event
 from rig_sim.integrate.work import new_work
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
-from stickslip.errors import InputError
 
-
-def flow_of(law: int, **changes: float) -> Flow:
-    return Flow(curve=LAWS[law].curve_code, ramp=LAWS[law].ramp, **changes)  # type: ignore[arg-type]
+from ..shared import flow_of, sample_motion
 
 
 def load(law: int, w: float, droop: float, Fs: float = 1.0, G: float = 0.05, gamma: float = 3.0) -> float:
@@ -94,11 +88,11 @@ def test_one_slip_of_law_5_is_that_of_an_independent_solver(droop: float, drive:
 
 
 @pytest.mark.parametrize("law", [1, 3, 5])
-def test_a_long_run_is_that_of_an_independent_solver(law: int, sampled: Callable[..., tuple[Any, ...]]) -> None:
+def test_a_long_run_is_that_of_an_independent_solver(law: int) -> None:
     droop, belt = 0.025, 0.5
     flow = flow_of(law, droop=droop, v_belt=belt, c=0.01)
     times = [0.1 * i for i in range(301)]
-    x, v, _ = sampled(flow, 0.0, 0.0, times)
+    x, v = sample_motion(flow, 0.0, 0.0, times)
 
     def motion(t: float, y: np.ndarray) -> tuple[float, float]:
         return y[1], load(law, y[1] - belt, droop) - 0.01 * y[1] - y[0]
@@ -147,17 +141,6 @@ def test_the_orbit_on_a_drooping_belt_is_exact() -> None:
     assert settled[-1].t - settled[-3].t == pytest.approx(hyperbolic.period, rel=1e-10)
 
 
-def test_compiled_and_interpreted_give_the_same_events() -> None:
-    flow = flow_of(5, droop=0.02, u0=0.1, omega=0.7)
-    plain, fast = (list_events(flow, 0.0, 0.0, 60.0, compiled=compiled) for compiled in (False, True))
-    assert plain.kinds == fast.kinds
-    np.testing.assert_allclose(plain.t, fast.t, rtol=1e-12)
-
-
-def test_no_droop_is_the_rigid_belt() -> None:
-    assert events(scene("rig", **{"droop.fraction": 0.0}), 20.0) == events(scene("rig"), 20.0)
-
-
 def test_a_resting_belt_does_not_droop_and_scatter_leaves_the_width_alone() -> None:
     rig = scene("rig", **{"droop.fraction": 0.01})
     assert rig.flow(belt_running=False).droop == 0
@@ -165,19 +148,3 @@ def test_a_resting_belt_does_not_droop_and_scatter_leaves_the_width_alone() -> N
     found = events(rig, 30.0)
     assert found.outcome == "completed"
     assert len(found.events) > 20
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"friction.static": 1.2}, "static"),
-        ({"droop.fraction": 0.5}, "fraction is 0.5: .* give less than 0.4726"),
-        ({"droop.fraction": 1.0}, "droop.fraction"),
-        ({"friction.Fs": 0.0}, "Fs"),
-    ],
-)
-def test_a_droop_that_cannot_be_is_refused(changes: dict[str, object], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        scene("rig", **{"droop.fraction": 0.01, **changes})
-    with pytest.raises(ValueError, match="droop"):
-        validate(flow_of(5, droop=-1.0))

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,20 @@ from scipy.integrate import solve_ivp
 
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.memory import MemoryFlow, jacobian, make_memory_flow, rates, slip
+from rig_sim.flow.memory import MemoryFlow, make_memory_flow
 from rig_sim.friction.memory import AGEING, BRISTLE, SLIP
-from rig_sim.integrate.memory import compile_phases, initial_mode, invert, new_memory_work, sample_memory_phase
+from rig_sim.integrate.memory import compile_phases, initial_mode, new_memory_work, sample_memory_phase
 from rig_sim.integrate.phases import Samples, State
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import validate_content
 
-BENCHMARKS = Path(__file__).resolve().parents[3] / "benchmarks"
+from ..shared import BENCHMARKS
+
 LUGRE = {"s0": 1.5e4, "s1": 60.0, "s2": 0.3, "Fc": 0.6, "Fs": 1.35, "v_s": 0.1}
 STATE = {"F0": 1.2, "a": 0.03, "b": 0.105, "D": 2e-3, "v0": 0.1}
 LAWS = {"lugre": (BRISTLE, LUGRE), "ageing": (AGEING, STATE), "slip": (SLIP, STATE)}
 FAST = [("lugre", 0), ("lugre", 5), ("dahl", 6), ("ageing", 3), ("slip", 4)]  # the scenes of which are solved soon
+BY_LSODA = (0, 3, 4, 5, 6, 7)  # the settings whose end it reaches
 ALL = [(law, number) for law in ("lugre", "dahl", "ageing", "slip") for number in range(10)]
 
 
@@ -61,7 +62,7 @@ def test_the_motion_is_that_of_scipy(monkeypatch, law, number):
     case = memory.SETTINGS[law][number]
     player = ScenePlayer(case.scene())
     t, x, _, _ = player.columns(np.linspace(0.0, case.until, 2001))
-    expected, _ = memory.solve(case, t)
+    expected, _ = memory.solve(case, t, method="LSODA" if number in BY_LSODA else "Radau")
     assert player.outcome.name == "completed"
     assert np.sqrt(np.mean((x - expected) ** 2)) < min(0.5e-6, 1e-5 * np.ptp(expected))
 
@@ -89,30 +90,6 @@ def test_slip_that_reverses_is_that_of_scipy(law):
     accelerations = [slopes(t, y)[1] for t, y in zip(times, expected.y.T, strict=True)]
     balance = flow.m * np.array(accelerations) + flow.k * expected.y[0] + flow.c * expected.y[1]
     assert np.abs(F - balance + 2.5 * np.cos(3.0 * times)).max() < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("law", "state"),
-    [
-        ("lugre", (0.1, -0.05, 5e-5)),
-        ("lugre", (0.1, 0.03, -2e-5)),
-        ("ageing", (0.1, 38.0, 0.5)),
-        ("ageing", (-0.1, -39.0, 0.2)),
-        ("slip", (0.1, 38.0, 0.5)),
-        ("slip", (0.1, -40.0, -0.3)),
-    ],
-)
-def test_the_jacobian_is_that_of_the_rates(law, state):
-    flow = rig(law, u0=0.1, omega=3.0)
-    expected = np.empty((3, 3))
-    for column in range(3):
-        step = np.zeros(3)
-        step[column] = 1e-6 * max(abs(state[column]), 1e-3)
-        ends = [rates(flow, 0.3, tuple(np.array(state) + sign * step)) for sign in (1.0, -1.0)]
-        expected[:, column] = np.subtract(*ends) / (2.0 * step[column])
-    found = np.array(jacobian(flow, 0.3, state))
-    assert (np.abs(found - expected).max(axis=1) < 1e-7 * np.abs(expected).max(axis=1)).all()
-    assert np.array(invert(flow, 0.3, state, 1e-3)) @ (4e3 * np.eye(3) - found) == pytest.approx(np.eye(3), abs=1e-12)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -224,12 +201,3 @@ def test_the_break_away_force_falls_with_the_rate_of_the_force():
     assert (np.diff(peaks) < 0.0).all()
     assert 1.4 < peaks[0] < 1.5
     assert 1.0 < peaks[-1] < 1.05
-
-
-def test_the_slip_speed_keeps_its_digits_in_a_stick():
-    flow = rig("ageing")
-    for y in (1e-12, 1.0, 30.0, 60.0):
-        e, slope, _ = slip(flow, y, 1.0)
-        q = (flow.F0 + flow.b) / flow.a
-        assert e == pytest.approx(2.0 * flow.v0 * math.exp(-q) * math.sinh(y), rel=1e-12, abs=1e-30)
-        assert slope == pytest.approx(2.0 * flow.v0 * math.exp(-q) * math.cosh(y), rel=1e-12)

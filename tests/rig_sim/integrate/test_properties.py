@@ -1,4 +1,4 @@
-"""What holds for every parameter: symmetries, energy, invariances, limits; and a thousand time units to two ulp."""
+"""What holds for every parameter: symmetries, energy, invariances, limits."""
 
 import math
 from itertools import pairwise
@@ -8,10 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.flow.contact_state import force, initial_mode
-from rig_sim.flow.flow import Flow
+from rig_sim.flow.contact_state import force
 from rig_sim.flow.modes import NEGATIVE
 from rig_sim.friction.contact import force as force_of_law
 from rig_sim.friction.law import LAWS
@@ -19,11 +17,7 @@ from rig_sim.integrate.events import list_events, new_samples
 from rig_sim.integrate.phases import State, next_event, sample_phase
 from rig_sim.integrate.work import new_work
 
-TWO_ULP = 2.3e-13  # of a time near 1000
-
-
-def flow_of(law, **changes):
-    return Flow(curve=LAWS[law].curve_code, ramp=LAWS[law].ramp, **changes)
+from ..shared import flow_of
 
 
 def log_span(low, high):
@@ -68,6 +62,7 @@ def test_every_law_is_odd_and_opposes_slip(law, w, **parameters):
     v=st.floats(-1.0, 1.0),
     x0=st.floats(-0.5, 0.5),
     c=st.sampled_from([0.0, 0.02]),
+    static=st.floats(1.0, 1.5),
     u0=st.sampled_from([0.0, 0.3]),
     **flows,
 )
@@ -192,7 +187,7 @@ def test_over_a_cycle_the_belts_work_is_what_friction_and_damper_dissipate(law, 
 # Laws against each other ----------------------------------------------------------------------------------------------
 
 
-@given(v=log_span(1e-3, 1.0), G_slip=log_span(1e-3, 0.2), m=log_span(0.1, 10.0))
+@given(v=log_span(1e-12, 3.0), G_slip=log_span(1e-3, 0.2), m=log_span(0.1, 10.0))
 def test_the_period_of_law_3_does_not_depend_on_the_belts_speed(v, G_slip, m):
     Fs = 10.0  # far from where the force would change its sign
     one, other = (cycle(flow_of(3, v_belt=speed, G_slip=G_slip, m=m, Fs=Fs)) for speed in (0.3, v))
@@ -216,82 +211,3 @@ def test_ramp_laws_tend_to_jump_laws_as_one_over_the_slope(ramp, jump, changes):
         assert abs(near) < 1e-3
         assert far / middle == pytest.approx(10.0, rel=0.15)
         assert middle / near == pytest.approx(10.0, rel=0.03)
-
-
-# A thousand time units ------------------------------------------------------------------------------------------------
-
-SETS = [
-    (3, {}),
-    (5, {}),
-    (3, {"m": 0.23, "k": 1.7, "v_belt": 1.31, "Fs": 2.9, "c": 0.013, "G_slip": 0.11}),
-    (5, {"m": 2.3, "k": 0.7, "v_belt": 0.31, "gamma": 7.7, "Fs": 1.9, "c": 0.013}),
-    (5, {"static": 1.37, "x0": -0.4, "gamma": 1.1}),
-    (5, {"v_belt": -0.2, "gamma": 0.6, "k": 3.0, "c": 0.04}),
-    (1, {"static": 1.3}),
-    (6, {"m": 2.3, "k": 0.7, "v_belt": 0.31, "gamma": 7.7, "Fs": 1.9, "c": 0.013, "d": 0.011}),
-    (4, {"m": 0.9, "v_belt": -0.7, "G_slip": 0.06, "d": 0.05}),
-]
-
-
-@pytest.mark.parametrize(("law", "changes"), SETS, ids=str)
-def test_event_times_are_right_to_two_ulp_after_a_thousand_time_units(law, changes, reference_events):
-    flow = flow_of(law, **changes)
-    until = 1000.0
-    expected = [(t, kind) for t, kind, _ in reference_events(flow, 0.0, 0.0, until)]
-    assert len(expected) > 60
-    for every_cycle in (True, False):
-        found = list_events(flow, 0.0, 0.0, until, every_cycle=every_cycle)
-        error, note = difference(found, expected, until)
-        assert note == ""
-        assert error <= TWO_ULP
-
-
-@pytest.mark.parametrize(("law", "changes"), SETS, ids=str)
-def test_period_stick_time_and_sticking_point_are_right_to_1e_14(law, changes, reference_events):
-    flow = flow_of(law, **changes)
-    orbit = cycle(flow)
-    assert orbit.outcome == "cycle"
-    expected = reference_events(flow, 0.0, 0.0, 120.0)
-    slips = [i for i, (_, kind, _) in enumerate(expected) if kind[0] == "S"]
-    begin, end = slips[-2], slips[-1]
-    before = end - 1  # the landing that stays
-    measured = {
-        "period": expected[end][0] - expected[begin][0],
-        "t_stick": expected[end][0] - expected[before][0],
-        "x_stick": expected[before][2],
-    }
-    for name, value in measured.items():
-        assert abs(getattr(orbit, name) - value) <= 1e-14 * max(1.0, abs(value)), name
-
-
-@pytest.mark.parametrize(
-    ("law", "changes"),
-    [
-        (5, {"u0": 0.2, "omega": 0.3}),
-        (5, {"v_belt": 0.085, "u0": 0.2, "omega": 0.41}),
-        (3, {"u0": 0.1, "omega": 0.7, "c": 0.01, "phase": 0.4}),
-        (6, {"u0": 0.15, "omega": 0.37, "d": 0.1, "k": 1.3}),
-        (4, {"v_belt": -0.5, "u0": 0.1, "omega": 1.9, "m": 1.4}),
-    ],
-    ids=str,
-)
-def test_driven_event_lists_meet_the_reference_to_1e_12(law, changes, reference_events):
-    flow = flow_of(law, **changes)
-    found = list_events(flow, 0.0, 0.0, 100.0)
-    expected = reference_events(flow, 0.0, 0.0, 100.0)
-    error, note = difference(found, [(t, kind) for t, kind, _ in expected], 100.0)
-    assert note == ""
-    assert len(found.t) >= 10
-    assert error <= 1e-12
-    assert max(abs(x - x_ref) for x, (_, _, x_ref) in zip(found.x, expected, strict=False)) <= 1e-12
-
-
-def test_energies_are_those_of_the_modes_the_orbit_has():
-    flow = flow_of(5)
-    assert initial_mode(flow, 1.0, 0.0, 0.0) == NEGATIVE
-    belt, heat, damper = energies(flow, cycle(flow))
-    orbit = cycle(flow)
-    # in stick F = k x: the belt's work there is v k (x_slip^2 - x_stick^2)/2v
-    assert damper == 0.0
-    assert belt > 0.5 * (orbit.x_slip**2 - orbit.x_stick**2)
-    assert belt == pytest.approx(heat, rel=1e-12)

@@ -1,8 +1,6 @@
 """Motion: a scene played exactly, stretch after stretch, with what changes the flow between events."""
 
 import itertools
-import json
-import math
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -11,25 +9,6 @@ import pytest
 from rig_sim.motion.play import LEAST_FACTOR, Event, ScenePlayer, events
 from rig_sim.scenes.scene import parse_changes, scene
 from stickslip.errors import InputError
-
-REFERENCE = json.loads((FilePath(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())
-
-
-def forced_scene(parameters: dict[str, str]) -> dict[str, object]:
-    changes: dict[str, object] = {"drive.u0": float(parameters["u0"]), "drive.omega": float(parameters["om"])}
-    if "vdr" in parameters:
-        changes["belt.speed"] = float(parameters["vdr"])
-    return changes
-
-
-@pytest.mark.parametrize("case", REFERENCE["forced_event_times"], ids=lambda case: case["name"])
-def test_forced_events_meet_the_reference_lists(case: dict) -> None:  # type: ignore[type-arg]
-    found = events(scene("base", **forced_scene(case["params"])), case["t_max"])
-    assert found.outcome == "completed"
-    assert [event.kind for event in found.events] == [kind for _, kind, _ in case["events"]]
-    for event, (t, _, x) in zip(found.events, case["events"], strict=True):
-        assert event.t == pytest.approx(float(t), abs=1e-10)
-        assert event.x == pytest.approx(float(x), abs=1e-10)
 
 
 def test_events_and_one_phase_at_a_time_agree() -> None:
@@ -61,22 +40,6 @@ def test_a_mass_at_rest_within_the_cone_stays_put_until_the_belt_starts() -> Non
     followed = motion.follow(np.array([0.0, 1.0, 2.9]), forces=True)
     np.testing.assert_array_equal(followed.nodes.x[followed.samples], 0.1)
     np.testing.assert_allclose(followed.F, parked.spring.k * 0.1, rtol=1e-14)
-
-
-@pytest.mark.parametrize("law", range(1, 7))
-def test_sampled_motion_obeys_the_equation_of_motion(law: int) -> None:
-    rig = scene("rig", **{"friction.law": law, "damper.c": 0.05, "drive.u0": 0.1, "drive.omega": 3.0})
-    motion = ScenePlayer(rig)
-    h = 1e-4
-    t = np.arange(h, 4.0, h, dtype=np.float64)
-    followed = motion.follow(t, forces=True)
-    at = followed.samples
-    x, v = followed.nodes.x[at], followed.nodes.v[at]
-    acceleration = (followed.F - 0.05 * v - rig.spring.k * x + 0.1 * np.cos(3.0 * t)) / rig.mass.m
-    middle = (v[2:] - v[:-2]) / (2 * h)
-    error = np.abs(middle - acceleration[1:-1])
-    assert np.quantile(error, 0.99) < 1e-4 * np.abs(acceleration).max()  # all but the samples beside an event
-    np.testing.assert_allclose((x[2:] - x[:-2]) / (2 * h), v[1:-1], atol=1e-3)
 
 
 def test_stretches_of_any_length_give_the_same_motion() -> None:
@@ -184,19 +147,6 @@ def test_the_step_limit_is_a_named_outcome() -> None:
     assert 0 < len(path.samples) < 20_000
     assert path.nodes.t[path.samples[-1]] == (len(path.samples) - 1) / 1000
     assert len(motion.follow(np.array([30.0])).samples) == 0
-
-
-@pytest.mark.parametrize("until", [0.0, -1.0, math.inf, math.nan])
-def test_an_impossible_end_is_refused(until: float) -> None:
-    with pytest.raises(InputError, match="until"):
-        events(scene("base"), until)
-    with pytest.raises(InputError, match="max_steps"):
-        events(scene("base"), 1.0, max_steps=0)
-
-
-def test_settings_from_the_command_line_play() -> None:
-    changes = parse_changes(["drive.u0=0.2", "drive.omega=0.3"])
-    assert events(scene("base", **changes), 60.0).events[0].kind == "N>S"
 
 
 @pytest.mark.parametrize("change", ["mass.m=1e-9", "friction.Fs=1e9", "friction.gamma=1e9"])

@@ -37,13 +37,6 @@ def test_a_kernel_written_for_each_scene_alone_gives_the_engines_events(scene_co
         assert apart <= 2e-12, name
 
 
-def test_no_scene_of_the_benchmark_loads_or_stores_what_it_does_not_name(
-    scene_cost: ModuleType, tmp_path: Path
-) -> None:
-    for name in ("base", "drive", "scatter", "everything"):
-        assert scene_cost.left_out(name, str(tmp_path)) == {"modules": [], "channels": []}, name
-
-
 def test_a_recording_holds_the_truth_only_where_the_scene_tells_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

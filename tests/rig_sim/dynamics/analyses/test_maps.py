@@ -1,13 +1,10 @@
 """Attractors, basins, exponents and sweeps of maps: textbook maps with known answers, and the thesis's two masses."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.basins import basins, merge_sets
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.map_branches import map_continuation
@@ -19,9 +16,11 @@ from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
-from stickslip.console import application
 
-REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter4"]
+from ...shared import CHAPTERS, answer
+from ..textbook import Logistic, OnInterval
+
+REFERENCE = CHAPTERS["chapter4"]
 SHARES = REFERENCE["basin_fraction_attractor2_of_d_range"]
 
 
@@ -29,47 +28,34 @@ def thesis(v_belt):
     return TwoMassFlow(Flow(v_belt=v_belt))
 
 
-def answer(capsys, *words):
-    assert application.run(cli.app, [*words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def test_the_logistic_map_has_the_periodic_points_of_the_textbook(textbook):
+def test_the_logistic_map_has_the_periodic_points_of_the_textbook():
     r = 3.2
-    (zero, fixed) = find_periodic_orbits(textbook.Logistic(r))
+    (zero, fixed) = find_periodic_orbits(Logistic(r))
     assert (zero.points, fixed.points[0]) == ((0.0,), pytest.approx(1.0 - 1.0 / r, abs=1e-14))
     assert (zero.slope, fixed.slope) == (pytest.approx(r, abs=1e-8), pytest.approx(2.0 - r, abs=1e-8))
-    (two,) = find_periodic_orbits(textbook.Logistic(r), 2)
+    (two,) = find_periodic_orbits(Logistic(r), 2)
     root = math.sqrt((r + 1.0) * (r - 3.0))
     assert two.points == pytest.approx(((r + 1.0 - root) / (2.0 * r), (r + 1.0 + root) / (2.0 * r)), abs=1e-14)
     assert two.slope == pytest.approx(4.0 + 2.0 * r - r * r, abs=1e-8)
     assert two.stable
-    assert [orbit.period for orbit in find_periodic_orbits(textbook.Logistic(3.9), 3)] == [3, 3]
+    assert [orbit.period for orbit in find_periodic_orbits(Logistic(3.9), 3)] == [3, 3]
 
 
-def test_exponents_of_the_logistic_map(textbook):
-    chaos = exponent(textbook.Logistic(4.0).motion(np.array([0.3])), 20_000)
-    assert chaos.exponent == pytest.approx(math.log(2.0), abs=4.0 * chaos.stderr)
-    assert 0.0 < chaos.stderr < 0.02
-    regular = exponent(textbook.Logistic(3.2).motion(np.array([0.3])), 100)
-    assert (regular.exponent, regular.period) == (pytest.approx(0.5 * math.log(0.16), abs=1e-9), 2)
-
-
-def test_an_orbit_that_leaves_has_no_exponent(textbook):
-    f = textbook.OnInterval(lambda x: np.where(x < 0.9, x + 0.05, np.nan), 0.0, 1.0)
+def test_an_orbit_that_leaves_has_no_exponent():
+    f = OnInterval(lambda x: np.where(x < 0.9, x + 0.05, np.nan), 0.0, 1.0)
     assert exponent(f.motion(f.start), 100).outcome == "no attractor"
     assert basins(f, 50).attractors == ()
     assert basins(f, 50).nowhere == 1.0
 
 
-def test_cycles_of_cells_of_one_chaotic_attractor_are_merged(textbook):
-    found = basins(textbook.Logistic(3.9), 3000)
+def test_cycles_of_cells_of_one_chaotic_attractor_are_merged():
+    found = basins(Logistic(3.9), 3000)
     assert [(attractor.period, attractor.share) for attractor in found.attractors] == [(None, 1.0)]
     assert merge_sets([{1, 2}, {3}, {2, 4}, {4, 3}]) == [0, 0, 0, 0]
 
 
-def test_two_wells_share_the_interval(textbook):
-    f = textbook.OnInterval(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
+def test_two_wells_share_the_interval():
+    f = OnInterval(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
     found = basins(f, 1000)
     assert sorted(attractor.points for attractor in found.attractors) == [(-1.0,), (1.0,)]
     assert [attractor.share for attractor in found.attractors] == [0.5, 0.5]
@@ -77,8 +63,8 @@ def test_two_wells_share_the_interval(textbook):
 
 
 @pytest.mark.parametrize("v_belt", ["0.1", "0.165"])
-def test_basins_of_the_two_masses(capsys, v_belt):
-    found = answer(capsys, "basins", "two-mass", "--cells", "4000", "--set", f"belt.speed={v_belt}")
+def test_basins_of_the_two_masses(v_belt):
+    found = answer(f"basins two-mass --cells 4000 --set belt.speed={v_belt}")
     assert found["range"] == pytest.approx(SHARES["range"], abs=1e-14)
     assert found["cycles"] > len(found["shares"]) == 2
     assert found["shares"][1] == pytest.approx(SHARES["values"][v_belt], abs=SHARES["tol"])
@@ -86,9 +72,9 @@ def test_basins_of_the_two_masses(capsys, v_belt):
 
 
 @pytest.mark.parametrize("v_belt", ["0.083", "0.1", "0.15"])
-def test_exponents_of_the_two_masses(capsys, v_belt):
+def test_exponents_of_the_two_masses(v_belt):
     expected = REFERENCE["lyapunov_per_event"][v_belt]
-    found = answer(capsys, "lyapunov", "two-mass", "--events", "1000", "--set", f"belt.speed={v_belt}")
+    found = answer(f"lyapunov two-mass --events 1000 --set belt.speed={v_belt}")
     assert found["exponent"] == pytest.approx(expected["value"], abs=expected["tol"])
     assert found["per"] == "event"
 
@@ -127,37 +113,25 @@ def test_attractors_keep_their_numbers_although_their_basins_change():
     assert [row.attractor for row in number_as_before([at(0.4, 1, 0.4, 0.9), at(0.4, 2, -0.6, 0.1)], third)] == [1, 2]
 
 
-def test_the_start_may_be_an_attractor(capsys):
+def test_the_start_may_be_an_attractor():
     assert scene("two-mass", **{"start.attractor": 2}).start.d is None
-    found = answer(capsys, "events", "two-mass", "--until", "40", "--set", "start.attractor=2")
+    found = answer("events two-mass --until 40 --set start.attractor=2")
     stuck = [event["x2"] - event["x1"] for event in found["events"] if event["kind"].endswith(">SS")]
     assert stuck == pytest.approx([0.12859314965090538] * len(stuck), abs=1e-8)
     assert len(stuck) > 1
-    assert application.run(cli.app, ["events", "two-mass", "--until", "1", "--set", "start.attractor=9"]) == 2
 
 
-def test_a_sweep_draws_both_attractors(capsys, tmp_path):
+def test_a_sweep_draws_both_attractors(tmp_path):
     path = tmp_path / "sweep.png"
-    words = ["sweep", "two-mass", "--over", "belt.speed=0.14:0.175:4", "--section", "map", "--plot", str(path)]
-    found = answer(capsys, *words)
+    found = answer("sweep two-mass --over belt.speed=0.14:0.175:4 --section map --plot", path)
     assert path.stat().st_size > 10_000
     numbers = [[row["attractor"] for row in found["rows"] if row["parameter"] == value] for value in (0.14, 0.175)]
     assert numbers == [[1, 2], [1]]  # attractor 2 ends at the fold, 0.1697
 
 
-def test_the_period_doubling_of_the_logistic_map_and_no_other_point(textbook):
-    found = map_continuation(textbook.Logistic, np.linspace(2.82, 3.12, 4).tolist())
-    assert [(point.kind, point.value) for point in found.points] == [("period-doubling", pytest.approx(3.0, abs=1e-8))]
-    assert {(branch.kind, branch.stable) for branch in found.branches} == {
-        ("period 1", True),
-        ("period 1", False),
-        ("period 2", True),
-    }
-
-
-def test_a_map_that_touches_the_diagonal_is_a_fold(textbook):
+def test_a_map_that_touches_the_diagonal_is_a_fold():
     def quadratic(r):
-        return textbook.OnInterval(lambda x: x * x + r, -1.0, 1.0)
+        return OnInterval(lambda x: x * x + r, -1.0, 1.0)
 
     points = map_continuation(quadratic, [0.1, 0.2, 0.3]).points
     assert [(point.kind, point.value) for point in points] == [("fold", pytest.approx(0.25, abs=1e-10))]
@@ -171,21 +145,21 @@ def test_a_map_that_touches_the_diagonal_is_a_fold(textbook):
         pytest.param("0.168:0.172:3", "fold", "period2_fold", marks=pytest.mark.slow),
     ],
 )
-def test_bifurcations_of_the_two_masses(capsys, span, kind, name):
-    found = answer(capsys, "continue", "two-mass", "--over", f"belt.speed={span}")
+def test_bifurcations_of_the_two_masses(span, kind, name):
+    found = answer(f"continue two-mass --over belt.speed={span}")
     expected = REFERENCE["bifurcations_V"][name]
     (point,) = found["points"]
     assert (point["kind"], point["parameter"]) == (kind, "belt.speed")
     assert point["value"] == pytest.approx(expected["value"], abs=1e-9)
 
 
-def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep(textbook):
+def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep():
     # The jump of 0.03 at d = -0.21 of the two masses was drawn as a line, the steep piece of f^2 at d = 0.2 was not.
-    f = textbook.OnInterval(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
+    f = OnInterval(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
     x = np.linspace(f.lo, f.hi, PLACES)
     y = f.images(x)
     found = find_jumps(f, 1, x, y)
     assert np.abs(np.diff(y))[np.searchsorted(x, 0.3) - 1] > 0.02, "the root is not steep enough to be mistaken"
     assert x[found] == pytest.approx(0.7, abs=2.0 / PLACES)
-    smooth = textbook.OnInterval(lambda x: x * x, -1.0, 1.0)
+    smooth = OnInterval(lambda x: x * x, -1.0, 1.0)
     assert find_jumps(smooth, 1, x, smooth.images(x)).size == 0

@@ -1,8 +1,5 @@
 """Sweeps: how values are shared out, and how an interrupted one is continued, without a change of one bit."""
 
-import contextlib
-import io
-import json
 import signal
 import subprocess
 import sys
@@ -18,27 +15,12 @@ from rig_sim.dynamics.return_maps import section
 from rig_sim.scenes.scene import BUILTIN_FOLDER
 from stickslip.console import application
 
-FEW = ["sweep", "two-mass", "--over", "belt.speed=0.14:0.175:4", "--section", "map"]
-TWO_MASSES = ["sweep", "two-mass", "--over", "belt.speed=0.09:0.12:24"]
-DRIVEN = ["sweep", "forced", "--over", "drive.u0=0:0.4:16", "--section", "slip"]
+from ...shared import answer
 
-
-def document(capsys, *words, code=0):
-    assert application.run(cli.app, [*map(str, words), "--json"]) == code
-    return json.loads(capsys.readouterr().out)
-
-
-@pytest.fixture(scope="module")
-def whole():
-    """Give a function that returns the document of an undisturbed sweep, made once."""
-
-    @cache
-    def of(*words):
-        with contextlib.redirect_stdout(io.StringIO()) as printed:
-            assert application.run(cli.app, [*words, "--json"]) == 0
-        return json.loads(printed.getvalue())
-
-    return of
+FEW = "sweep two-mass --over belt.speed=0.14:0.175:4 --section map"
+TWO_MASSES = "sweep two-mass --over belt.speed=0.09:0.12:12"
+DRIVEN = "sweep forced --over drive.u0=0:0.4:8 --section slip"
+whole = cache(answer)  # the document of an undisturbed sweep
 
 
 def attractor(value):
@@ -72,8 +54,7 @@ def test_tasks_take_a_tenth_of_a_second(monkeypatch, costs):
 
 def test_an_interrupted_sweep_is_continued(capsys, tmp_path, monkeypatch):
     """Used to begin anew: all that was found was lost with the process."""
-    path = tmp_path / "sweep.jsonl"
-    whole = document(capsys, *FEW)
+    path, expected = tmp_path / "sweep.jsonl", whole(FEW)
     find = section.attractors_at
     found = []
 
@@ -84,75 +65,72 @@ def test_an_interrupted_sweep_is_continued(capsys, tmp_path, monkeypatch):
         return find(flow_at, section, value)
 
     monkeypatch.setattr(section, "attractors_at", interrupted)
-    assert application.run(cli.app, [*FEW, "--resume", str(path)]) == 130
+    assert application.run(cli.app, [*FEW.split(), "--resume", str(path)]) == 130
     assert f"2 of 4 values are in {path}" in capsys.readouterr().err
     path.write_bytes(path.read_bytes()[:-1])  # cut in the middle of a line
     again = []
     monkeypatch.setattr(section, "attractors_at", lambda *asked: again.append(asked[-1]) or find(*asked))
-    assert document(capsys, *FEW, "--resume", path) == whole
+    assert answer(FEW, "--resume", path) == expected
     assert len(again) == 3
-    assert document(capsys, *FEW, "--resume", path) == whole
+    assert answer(FEW, "--resume", path) == expected
     assert len(again) == 3
     kept = path.read_bytes()
-    for words, named in (
-        ([*FEW[:-1], "poincare"], "section"),
-        ([*FEW, "--set", "friction.gamma=2.5"], "scene.friction.gamma"),
-        (["sweep", "two-mass", "--over", "belt.speed=0.14:0.175:5", "--section", "map"], "over.number"),
+    for line, named in (
+        (FEW.replace("map", "poincare"), "section"),
+        (f"{FEW} --set friction.gamma=2.5", "scene.friction.gamma"),
+        (FEW.replace("0.175:4", "0.175:5"), "over.number"),
     ):
-        assert named in document(capsys, *words, "--resume", path, code=2)["error"]["what"]
+        assert named in answer(line, "--resume", path, code=2)["error"]["what"]
     assert path.read_bytes() == kept
 
 
-def test_values_without_an_attractor_are_kept_too(capsys, tmp_path):
-    words = ["sweep", "forced", "--over", "drive.omega=0:0.3:2"]
-    path = tmp_path / "sweep.jsonl"
-    whole = document(capsys, *words)
-    assert whole["rows"][0]["outcome"] == "no drive period"
-    assert [document(capsys, *words, "--resume", path) for _ in range(2)] == [whole, whole]
+def test_values_without_an_attractor_are_kept_too(tmp_path):
+    line, path = "sweep forced --over drive.omega=0:0.3:2", tmp_path / "sweep.jsonl"
+    assert whole(line)["rows"][0]["outcome"] == "no drive period"
+    assert [answer(line, "--resume", path) for _ in range(2)] == [whole(line)] * 2
 
 
-def test_rows_of_something_else_are_refused(capsys, tmp_path):
+def test_rows_of_something_else_are_refused(tmp_path):
     path = tmp_path / "sweep.jsonl"
-    document(capsys, *FEW, "--resume", path)
+    answer(FEW, "--resume", path)
     path.write_bytes(path.read_bytes() + b'{"value": 1.0, "attractors": [{}]}\n')
-    assert "not of a sweep" in document(capsys, *FEW, "--resume", path, code=2)["error"]["what"]
+    assert "not of a sweep" in answer(FEW, "--resume", path, code=2)["error"]["what"]
 
 
-def test_a_picture_that_exists_is_refused_before_anything_is_computed(capsys, tmp_path, monkeypatch):
+def test_a_picture_that_exists_is_refused_before_anything_is_computed(tmp_path, monkeypatch):
     """Used to be refused at the end, and the result of the whole sweep with it."""
     monkeypatch.setattr(section, "attractors_at", None)
     path = tmp_path / "sweep.png"
     path.touch()
-    assert "exists" in document(capsys, *FEW, "--plot", path, code=2)["error"]["what"]
+    assert "exists" in answer(FEW, "--plot", path, code=2)["error"]["what"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [TWO_MASSES, DRIVEN], ids=["two-mass", "forced"])
-def test_processes_change_no_bit_of_a_sweep(capsys, tmp_path, whole, words):
-    """Nor does it matter that one was killed before."""
+@pytest.mark.parametrize("line", [TWO_MASSES, DRIVEN], ids=["two-mass", "forced"])
+def test_processes_change_no_bit_of_a_sweep(tmp_path, line):
+    """Nor does it matter that they were killed in between."""
     path = tmp_path / "sweep.jsonl"
-    assert document(capsys, *words, "--jobs", "2") == whole(*words)
-    command = [sys.executable, "-m", "rig_sim.cli.app", *words, "--jobs", "2", "--resume", str(path)]
+    command = [sys.executable, "-m", "rig_sim.cli.app", *line.split(), "--jobs", "2", "--resume", str(path)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True) as run:
         while run.poll() is None and not (path.exists() and path.read_bytes().count(b"\n") > 3):
             time.sleep(0.01)
         run.send_signal(signal.SIGKILL)
     assert path.read_bytes().count(b"\n") > 3
-    assert document(capsys, *words, "--jobs", "2", "--resume", path) == whole(*words)
+    assert answer(line, "--jobs", "2", "--resume", path) == whole(line)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [TWO_MASSES, DRIVEN], ids=["two-mass", "forced"])
-def test_a_cluster_changes_no_bit_of_a_sweep(capsys, tmp_path, monkeypatch, whole, words, cluster):
+@pytest.mark.parametrize("line", [TWO_MASSES, DRIVEN], ids=["two-mass", "forced"])
+def test_a_cluster_changes_no_bit_of_a_sweep(tmp_path, monkeypatch, line, cluster):
     """Workers used to read the scene's file themselves, relative to a folder of their own."""
-    (tmp_path / "mine.toml").write_bytes((BUILTIN_FOLDER / f"{words[1]}.toml").read_bytes())
+    (tmp_path / "mine.toml").write_bytes((BUILTIN_FOLDER / f"{line.split()[1]}.toml").read_bytes())
     monkeypatch.chdir(tmp_path)
-    assert document(capsys, words[0], "mine.toml", *words[2:], "--scheduler", cluster) == whole(*words)
+    assert answer(line.replace(line.split()[1], "mine.toml"), "--scheduler", cluster) == whole(line)
 
 
 @pytest.mark.slow
 def test_a_scheduler_killed_in_the_middle_leaves_the_finished_values(
-    capsys, tmp_path, monkeypatch, whole, own_scheduler, worker
+    capsys, tmp_path, monkeypatch, own_scheduler, worker
 ):
     process, address = own_scheduler
     worker(address)
@@ -167,10 +145,10 @@ def test_a_scheduler_killed_in_the_middle_leaves_the_finished_values(
 
     with monkeypatch.context() as patch:
         patch.setattr(application, "plain", then_kill)
-        assert application.run(cli.app, [*TWO_MASSES, "--resume", str(path), "--scheduler", address]) == 3
+        assert application.run(cli.app, [*TWO_MASSES.split(), "--resume", str(path), "--scheduler", address]) == 3
     said = capsys.readouterr().err
     assert "connection to the dask scheduler was lost" in said
     finished = path.read_bytes().count(b"\n") - 1
-    assert 0 < finished < 24
-    assert f"{finished} of 24 values are in {path}" in said
-    assert document(capsys, *TWO_MASSES, "--resume", path) == whole(*TWO_MASSES)
+    assert 0 < finished < 12
+    assert f"{finished} of 12 values are in {path}" in said
+    assert answer(TWO_MASSES, "--resume", path) == whole(TWO_MASSES)

@@ -1,21 +1,13 @@
 """Periodic orbits: properties across the laws, and a named outcome where there is none."""
 
 import math
-import subprocess
-import sys
-from dataclasses import astuple
 
 import pytest
 
 from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.turn import creeps
-from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import frame
 from rig_sim.friction.law import LAWS
 
-
-def flow_of(law, **changes):
-    return Flow(curve=LAWS[law].curve_code, ramp=LAWS[law].ramp, **changes)
+from ...shared import flow_of
 
 
 def test_law_1_grazes_on_its_circle():
@@ -33,14 +25,6 @@ def test_law_2_grazes_on_the_ramps_edge():
     assert (orbit.x_stick, orbit.x_min, orbit.x_max, orbit.v_min) == pytest.approx((1.0, 0.7, 1.3, -0.3), abs=1e-15)
 
 
-@pytest.mark.parametrize("v_belt", [1e-12, 1e-3, 0.2, 3.0])
-def test_period_of_law_3_does_not_depend_on_belt_speed(v_belt):
-    orbit = cycle(flow_of(3, v_belt=v_belt))
-    reference = cycle(flow_of(3))
-    assert orbit.period == pytest.approx(reference.period, abs=4e-15)
-    assert orbit.t_stick == pytest.approx(reference.t_stick, abs=4e-15)
-
-
 @pytest.mark.parametrize("law", LAWS)
 def test_backward_belt_mirrors_the_orbit(law):
     one = cycle(flow_of(law, x0=0.0))
@@ -49,38 +33,6 @@ def test_backward_belt_mirrors_the_orbit(law):
     assert (other.x_min, other.x_max) == (-one.x_max, -one.x_min)
     assert (other.v_min, other.v_max) == (-one.v_max, -one.v_min)
     assert other.sequence == one.sequence.replace("N", "P")
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_orbit_scales_with_its_units(law):
-    # m 0.3 kg, k 10.5 N/m, Fs 1.4 N: time in sqrt(m/k), length in Fs/k
-    m, k, Fs = 0.3, 10.5, 1.4
-    time, length = math.sqrt(m / k), Fs / k
-    speed = length / time
-    base = cycle(flow_of(law))
-    scaled = cycle(
-        flow_of(
-            law,
-            m=m,
-            k=k,
-            Fs=Fs,
-            v_belt=0.5 * speed,
-            G_slip=0.05 * Fs / speed,
-            gamma=3.0 / speed,
-            d=0.2 * speed,
-            x0=0.7,
-        )
-    )
-    assert scaled.sequence == base.sequence
-    assert scaled.period / time == pytest.approx(base.period, rel=1e-13)
-    assert (scaled.x_stick - 0.7) / length == pytest.approx(base.x_stick, abs=1e-13)
-    assert scaled.v_min / speed == pytest.approx(base.v_min, rel=1e-13)
-
-
-def test_mass_may_outrun_the_belt():
-    orbit = cycle(flow_of(5, gamma=10.0))
-    assert orbit.sequence == "NPS"
-    assert orbit.v_max > 0.5
 
 
 def test_static_friction_alone_makes_law_1_stick():
@@ -125,31 +77,6 @@ def test_any_gamma_ends_the_search(law, gamma):
     assert cycle(flow_of(law, gamma=gamma)).outcome in ("cycle", "grazing", "no cycle")
 
 
-@pytest.mark.parametrize("G_stick", [1e8, 1e12, 1e16])
-def test_steepest_ramps_give_the_jump_orbit(G_stick):
-    steep, jump = cycle(flow_of(6, d=1.0 / G_stick)), cycle(flow_of(5))
-    assert steep.period == pytest.approx(jump.period, abs=10.0 / G_stick + 1e-13)
-    assert steep.t_stick == pytest.approx(jump.t_stick, abs=10.0 / G_stick + 1e-13)
-
-
-def test_a_scene_is_anything_with_a_flow():
-    class Scene:
-        def flow(self):
-            return Flow(gamma=2.0)
-
-    assert astuple(cycle(Scene())) == astuple(cycle(Flow(gamma=2.0)))
-
-
-def test_an_orbit_costs_no_heavy_imports():
-    code = (
-        "import sys; from rig_sim.dynamics.limit_cycles.limit_cycle import cycle;"
-        "from rig_sim.flow.flow import Flow; cycle(Flow());"
-        "print(*sorted({'numpy', 'scipy', 'numba', 'matplotlib'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
-
-
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("c", [3.2, 10.0, 1e3, 1e9])
 def test_heavy_damping_ends_at_the_fixed_point(law, c):
@@ -159,13 +86,3 @@ def test_heavy_damping_ends_at_the_fixed_point(law, c):
     friction = {"constant": 1.0, "linear": 1.0 - 0.05 * s, "hyperbolic": 1.0 / (1.0 + 3.0 * s)}[LAWS[law].curve]
     assert orbit.outcome == "fixed point"
     assert orbit.x_rest == pytest.approx(friction, rel=1e-6)
-
-
-def test_damping_that_is_not_heavy_enough_is_followed_to_its_end():
-    """Creep is claimed only where no phase could stick again: else the motion is played."""
-    for c in (0.1, 0.5, 1.0, 1.5, 1.9, 2.5):
-        fr = frame(flow_of(5, c=c, gamma=3.0))
-        assert not creeps(fr, 0.5, -0.1, c - 3.0)
-    assert creeps(frame(flow_of(1, c=2.1)), 0.5, -0.1, 2.1)
-    assert not creeps(frame(flow_of(1, c=2.1)), 0.5, -0.9, 2.1)  # slows down faster than the larger root
-    assert not creeps(frame(flow_of(1, c=2.1)), 0.5, 0.1, 2.1)

@@ -1,14 +1,10 @@
 """A driven mass: sections, periods and exponents, against published numbers and a general solver."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
-from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.settling import find_attractors
 from rig_sim.dynamics.control import dither
@@ -16,72 +12,16 @@ from rig_sim.dynamics.return_maps import driven as driven_mass
 from rig_sim.dynamics.return_maps.driven import DrivenMap, driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
-from stickslip.console import application
 
-REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]
+from ...shared import CHAPTERS, answer
+from .general_solver import follow_by_scipy
+
+REFERENCE = CHAPTERS["chapter6"]
 EXPONENTS = REFERENCE["lambda_per_landing"]
 
 
 def thesis(omega=1.6, **changes):
     return Flow(**{"v_belt": 0.085, "u0": 0.2, "omega": omega, **changes})
-
-
-def answer(capsys, *words):
-    assert application.run(cli.app, [*words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def general_solver(flow, x, v, until, tolerance=1e-12):
-    """Return (t, x) of each break-away, and (x, v) at phase 0, by scipy with events: laws 1, 3, 5 with static 1."""
-    belt, period = flow.v_belt, 2.0 * math.pi / flow.omega
-
-    def drive(t):
-        return flow.u0 * math.cos(flow.omega * t)
-
-    def friction(s):
-        return {CONSTANT: flow.Fs, LINEAR: flow.Fs - flow.G_slip * s}.get(flow.curve, flow.Fs / (1.0 + flow.gamma * s))
-
-    def slip(side):
-        def field(t, y):
-            pull = side * friction(max(side * (belt - y[1]), 0.0))
-            return [y[1], (pull + drive(t) - flow.c * y[1] - flow.k * y[0]) / flow.m]
-
-        return field
-
-    def event(function, direction=1.0):
-        function.terminal, function.direction = True, direction
-        return function
-
-    t, broken, strobes = 0.0, [], {}
-    load = flow.k * x + flow.c * v - drive(0.0)
-    side = 0 if v == belt and abs(load) <= flow.Fs else (1 if v < belt or (v == belt and load > 0.0) else -1)
-    while t < until:
-        if side == 0:
-            fields = lambda t, y: [belt, 0.0]  # noqa: E731
-            ends = [event(lambda t, y: abs(flow.k * y[0] + flow.c * belt - drive(t)) - flow.Fs)]
-            first = 0.0
-        else:
-            fields = slip(side)
-            ends = [event(lambda t, y, side=side: side * (y[1] - belt))]
-            first = 1e-6  # past the instant at which slip has begun and its relative velocity is still 0
-        state = [x, belt] if side == 0 else [x, v]
-        settings = {"method": "DOP853", "rtol": tolerance, "atol": tolerance, "dense_output": True, "max_step": 0.2}
-        if first:
-            state = solve_ivp(fields, (t, t + first), state, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-        run = solve_ivp(fields, (t + first, until), state, events=ends, **settings)
-        for n in range(math.ceil((t + first) / period), math.floor(run.t[-1] / period) + 1):
-            strobes[n] = run.sol(n * period)
-        t, (x, v) = float(run.t[-1]), (float(run.y[0, -1]), float(run.y[1, -1]))
-        if run.status == 0:
-            break
-        load = flow.k * x + flow.c * belt - drive(t)
-        if side == 0:
-            broken.append((t, x))
-            side = 1 if load > 0.0 else -1
-        else:
-            side = 0 if abs(load) <= flow.Fs else int(math.copysign(1.0, load))
-        v = belt
-    return np.array(broken), np.array([strobes[n] for n in sorted(strobes) if n > 0])
 
 
 @pytest.mark.parametrize(
@@ -96,7 +36,7 @@ def general_solver(flow, x, v, until, tolerance=1e-12):
 )
 def test_sections_are_those_of_a_general_solver(flow, start):
     until = 25.0 if flow.omega == 1.6 else 40.0  # of a chaotic motion no longer
-    broken, strobes = general_solver(flow, *start, until)
+    broken, _, strobes = follow_by_scipy(flow, *start, until)
     slip = DrivenMap(flow, "slip").motion(start).follow(len(broken))
     assert len(broken) >= 2
     assert slip.times * 2.0 * math.pi / flow.omega == pytest.approx(broken[:, 0], abs=1e-7)
@@ -144,10 +84,9 @@ def test_growth_on_an_unstable_orbit_is_its_multiplier(name):
     assert math.exp(growth) == pytest.approx(abs(case["mult"]), abs=1e-6)
 
 
-def test_exponent_of_a_mass_that_never_sticks_is_that_of_its_damper(capsys):
+def test_exponent_of_a_mass_that_never_sticks_is_that_of_its_damper():
     """Without friction it is -c T/2m per drive period; the growth of a single period used to be taken for it."""
-    words = ("--set", "friction.Fs=0", "--set", "damper.c=0.1", "--set", "mass.m=1.7", "--events", "2000")
-    found = answer(capsys, "lyapunov", "forced", *words)
+    found = answer("lyapunov forced --set friction.Fs=0 --set damper.c=0.1 --set mass.m=1.7 --events 2000")
     assert (found["per"], found["stderr"], found["period"]) == ("drive period", 0.0, 1)
     assert found["exponent"] == pytest.approx(-0.1 / (2.0 * 1.7) * 2.0 * math.pi / 1.6, abs=1e-9)
 
@@ -158,37 +97,29 @@ def test_exponent_without_a_drive_is_zero_the_motion_may_only_be_late():
 
 
 @pytest.mark.parametrize("omega", EXPONENTS)
-def test_exponents_of_the_thesis_s_case(capsys, omega):
-    found = answer(capsys, "lyapunov", "forced", "--events", "10000", "--set", f"drive.omega={omega}")
+def test_exponents_of_the_thesis_s_case(omega):
+    found = answer(f"lyapunov forced --events 10000 --set drive.omega={omega}")
     assert found["exponent"] == pytest.approx(EXPONENTS[omega]["value"], abs=EXPONENTS[omega]["tol"])
     assert (found["per"], found["period"]) == ("landing", None)
     assert found["stderr"] < 0.02
 
 
-def test_periods_of_the_thesis_s_case(capsys):
-    found = answer(capsys, "sweep", "forced", "--over", "drive.omega=0.3:0.41:2", "--section", "slip")
+def test_periods_of_the_thesis_s_case():
+    found = answer("sweep forced --over drive.omega=0.3:0.41:2 --section slip")
     (one, two) = found["rows"]
     assert (one["period"], one["drive_periods"], len(one["points"])) == (1, 1, 1)
     assert (two["period"], two["drive_periods"], len(two["points"])) == (2, 3, 2)
-    strobe = answer(capsys, "sweep", "forced", "--over", "drive.omega=0.3:0.41:2")
+    strobe = answer("sweep forced --over drive.omega=0.3:0.41:2")
     assert [row["period"] for row in strobe["rows"]] == [1, 3]
 
 
-def test_break_away_lies_where_spring_and_drive_balance_the_level(capsys):
-    found = answer(capsys, "sweep", "forced", "--over", "drive.omega=1.1:1.6:2", "--section", "slip")
+def test_break_away_lies_where_spring_and_drive_balance_the_level():
+    found = answer("sweep forced --over drive.omega=1.1:1.6:2 --section slip")
     lowest, highest = REFERENCE["X_A_range"]["value"]
     for row in found["rows"]:
         assert (row["attractor"], row["period"], row["drive_periods"]) == (1, None, None)
         assert lowest - 1e-9 <= min(row["points"]) < lowest + 0.01
         assert 1.0 < max(row["points"]) <= highest + 1e-9
-
-
-def test_a_sweep_over_the_belt_draws_its_diagram(capsys, tmp_path):
-    path = tmp_path / "sweep.png"
-    words = ["sweep", "forced", "--over", "belt.speed=0.25:0.5:2", "--section", "slip", "--plot", str(path)]
-    found = answer(capsys, *words)
-    assert {row["parameter"] for row in found["rows"]} == {0.25, 0.5}
-    assert path.stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
@@ -227,20 +158,8 @@ def test_a_drive_far_faster_than_the_mass_ends_by_name(monkeypatch):
     assert found.threshold == pytest.approx(0.085 * 1e6)
 
 
-def test_a_sweep_names_a_drive_without_force_and_one_without_period(capsys):
-    (still, _) = answer(capsys, "sweep", "forced", "--over", "drive.u0=0:0.6:2", "--section", "slip")["rows"]
+def test_a_sweep_names_a_drive_without_force_and_one_without_period():
+    (still, _) = answer("sweep forced --over drive.u0=0:0.6:2 --section slip")["rows"]
     assert (still["outcome"], still["points"], still["drive_periods"]) == ("no drive", [1.0], None)
-    (none, _) = answer(capsys, "sweep", "forced", "--over", "drive.omega=0:0.3:2")["rows"]
+    (none, _) = answer("sweep forced --over drive.omega=0:0.3:2")["rows"]
     assert (none["outcome"], none["points"], none["attractor"]) == ("no drive period", [], 0)
-
-
-def test_what_a_driven_mass_needs_is_named(capsys):
-    for words, named in (
-        (("sweep", "base", "--over", "belt.speed=0.1:0.2:2"), "drive.u0"),
-        (("sweep", "forced", "--over", "drive.omega=1:2:2", "--section", "map"), "two masses"),
-        (("sweep", "two-mass", "--over", "belt.speed=0.1:0.2:2", "--section", "slip"), "driven mass"),
-        (("lyapunov", "forced", "--set", "drive.omega=0"), "drive.omega"),
-        (("lyapunov", "forced", "--events", "3"), "--events"),
-    ):
-        assert application.run(cli.app, list(words)) == 2
-        assert named in capsys.readouterr().err

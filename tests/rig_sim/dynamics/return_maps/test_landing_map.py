@@ -1,16 +1,10 @@
 """Landings, unstable orbits and locking of the driven mass: against scipy, the reference figures and the thesis."""
 
-import json
-import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
-from rig_sim.cli.app import app
 from rig_sim.dynamics.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
@@ -18,55 +12,27 @@ from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.dynamics.system.interface import difference, orbit
 from rig_sim.functions import control
 from rig_sim.scenes.scene import scene
-from stickslip.compute.arrays import Array
-from stickslip.console import application
 
-REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]
+from ...shared import CHAPTERS, answer, settings
+from .general_solver import follow_by_scipy
+
+REFERENCE = CHAPTERS["chapter6"]
 
 
 def driven(omega: float, **changes: object) -> LandingMap:
     return LandingMap(scene("forced", **{"drive.omega": omega, **changes}).flow())
 
 
-def scipy_landing(omega: float, u0: float, t: float, x: float) -> tuple[float, float, float]:
-    """Return (t, x, x at break-away) of the next landing, with brentq for the stick and DOP853 for the slip."""
-    v, gamma = 0.085, 3.0
-
-    def load(at: float) -> float:
-        return x + v * (at - t) - u0 * math.cos(omega * at) - 1.0
-
-    step = 0.01 / omega
-    end = t
-    while load(end + step) <= 0.0:
-        end += step
-    left = float(brentq(load, end, end + step, xtol=1e-15))
-
-    def slip(at: float, state: Array) -> list[float]:
-        return [state[1], 1.0 / (1.0 + gamma * (v - state[1])) - state[0] + u0 * math.cos(omega * at)]
-
-    def lands(at: float, state: Array) -> float:
-        return float(state[1] - v)
-
-    lands.terminal, lands.direction = True, 1.0  # type: ignore[attr-defined]
-    x_slip = x + v * (left - t)
-    # the slip begins at rest on the belt: a short step by its Taylor series leaves the event behind
-    h = 1e-3
-    jerk = -v - u0 * omega * math.sin(omega * left)
-    snap = gamma * jerk - u0 * omega**2 * math.cos(omega * left)
-    begun = [x_slip + v * h + jerk * h**3 / 6 + snap * h**4 / 24, v + jerk * h**2 / 2 + snap * h**3 / 6]
-    found = solve_ivp(slip, (left + h, left + 60.0), begun, "DOP853", events=lands, rtol=1e-12, atol=1e-13)
-    return float(found.t_events[0][0]), float(found.y_events[0][0][0]), x_slip
-
-
 @pytest.mark.parametrize(("omega", "change"), [(1.6, 0.0), (1.1, 0.004)])
 def test_a_landing_is_that_of_scipy(omega: float, change: float) -> None:
     f = driven(omega)
+    changed = f.flow._replace(u0=0.2 + change)
     state = f.first_landing(0.0, 0.0).state
     for _ in range(4):
         landing = f.find_landing(state, change)
-        t, x, x_slip = scipy_landing(omega, 0.2 + change, float(state[0]), float(state[1]))
-        assert difference(f, landing.state, np.array([t, x])) == pytest.approx([0.0, 0.0], abs=3e-9)
-        assert (landing.duration, landing.x_slip) == pytest.approx((t - state[0], x_slip), abs=2e-8)
+        [broken], [landed], _ = follow_by_scipy(changed, state[1], 0.085, 1e4, t=state[0], landings=1)
+        assert difference(f, landing.state, landed) == pytest.approx([0.0, 0.0], abs=3e-9)
+        assert (landing.duration, landing.x_slip) == pytest.approx((landed[0] - state[0], broken[1]), abs=2e-8)
         state = landing.state
 
 
@@ -85,9 +51,8 @@ def test_unstable_orbits_meet_the_reference(name: str) -> None:
     assert abs(found.multipliers[1]) < 1e-8  # a stick forgets all but one number
     # the orbit closes in scipy too: errors of a landing grow by the multiplier
     t, x = found.points[0]
-    for _ in range(period):
-        t, x, _ = scipy_landing(omega, 0.2, t % f.period, x)
-    assert np.max(np.abs(difference(f, np.array([t, x]), found.points[0]))) < 3e-8 * abs(expected["mult"])
+    _, landed, _ = follow_by_scipy(f.flow, x, 0.085, 1e4, t=t, landings=period)
+    assert np.max(np.abs(difference(f, landed[-1], found.points[0]))) < 3e-8 * abs(expected["mult"])
 
 
 @pytest.mark.parametrize(
@@ -114,21 +79,6 @@ def test_both_orbits_of_the_thesis_lock_within_its_budgets(
     free = orbit(f, held[0].states[held[0].events_to_lock], 30)
     nearest = np.min(np.linalg.norm(difference(f, free[:, None], found.points), axis=2), axis=1)
     assert np.max(nearest) > 0.05
-
-
-def test_two_phases_have_the_same_break_away() -> None:
-    # Why the state is the whole landing: with the position at break-away alone these two would be one.
-    f = driven(1.6)
-    states = orbit(f, f.first_landing(0.0, 0.0).state, 3000)
-    landings = [f.find_landing(state) for state in states]
-    x_slip = np.array([landing.x_slip for landing in landings])
-    lower, upper = REFERENCE["X_A_range"]["value"]
-    assert lower - 1e-9 <= x_slip.min() < 0.81
-    assert 1.03 < x_slip.max() <= upper
-    phase = (states[:, 0] + (x_slip - states[:, 1]) / 0.085) / f.period % 1.0  # of break-away
-    order = np.argsort(x_slip)
-    near = np.diff(x_slip[order]) < 1e-5
-    assert np.max(np.abs(np.diff(phase[order]))[near]) > 0.05
 
 
 def test_a_ramp_law_and_a_backward_belt_have_landings_too() -> None:
@@ -171,13 +121,8 @@ def test_a_motion_under_control_is_sampled_to_its_landings() -> None:
     assert np.max(v) < 0.085 + 1e-9
 
 
-def asked(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> Any:
-    assert application.run(app, ["lock", *arguments, "--json"]) == code
-    return json.loads(capsys.readouterr().out)
-
-
-def test_the_command_locks_and_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    found = asked(capsys, "forced", "--period", "2", "--budget", "0.0235", "--plot", str(tmp_path / "lock.png"))
+def test_the_command_locks_and_draws(tmp_path: Path) -> None:
+    found = answer("lock forced --period 2 --budget 0.0235 --plot", tmp_path / "lock.png")
     assert (found["outcome"], found["locked"]) == ("locked", True)
     assert found["orbit"]["drive_periods"] == 7
     assert sorted(found["orbit"]["x_slip"]) == pytest.approx(sorted(REFERENCE["unstable_orbits"]["1.6_2"]["X_A"]))
@@ -187,67 +132,39 @@ def test_the_command_locks_and_draws(capsys: pytest.CaptureFixture[str], tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("arguments", "outcome"),
+    ("flags", "outcome"),
     [
-        (("--period", "2", "--budget", "0"), "no budget"),
-        (("--period", "1", "--budget", "0.01", "--set", "drive.omega=0.3"), "stable orbit"),
-        (("--period", "2", "--budget", "0.01", "--set", "drive.omega=0.3"), "regular motion"),
-        pytest.param(
-            ("--period", "3", "--budget", "0.01", "--set", "drive.omega=0.2"), "no orbit", marks=pytest.mark.slow
-        ),
-        (("--period", "1", "--budget", "0.01", "--set", "drive.omega=20", "--set", "drive.u0=10"), "no landing"),
-        (("--period", "1", "--budget", "0.01", "--set", "belt.speed=0", "--set", "drive.u0=0.1"), "no landing"),
-        (("--period", "1", "--budget", "0.01", "--set", "friction.law=1", "--set", "damper.c=20"), "no landing"),
-        pytest.param(("--period", "2", "--budget", "0.01", "--method", "search"), "not locked", marks=pytest.mark.slow),
+        ("--period 2 --budget 0", "no budget"),
+        ("--period 1 --budget 0.01 --set drive.omega=0.3", "stable orbit"),
+        ("--period 2 --budget 0.01 --set drive.omega=0.3", "regular motion"),
+        pytest.param("--period 3 --budget 0.01 --set drive.omega=0.2", "no orbit", marks=pytest.mark.slow),
+        ("--period 1 --budget 0.01 --set drive.omega=20 --set drive.u0=10", "no landing"),
+        ("--period 1 --budget 0.01 --set belt.speed=0 --set drive.u0=0.1", "no landing"),
+        ("--period 1 --budget 0.01 --set friction.law=1 --set damper.c=20", "no landing"),
+        pytest.param("--period 2 --budget 0.01 --method search", "not locked", marks=pytest.mark.slow),
     ],
 )
-def test_what_cannot_be_locked_has_a_name(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], outcome: str
-) -> None:
-    found = asked(capsys, "forced", *arguments)
+def test_what_cannot_be_locked_has_a_name(flags: str, outcome: str) -> None:
+    found = answer(f"lock forced {flags}")
     assert found["outcome"] == outcome
     assert found["locked"] == (outcome == "stable orbit")
     assert (found["advice"] == "") == (outcome == "stable orbit")
 
 
 @pytest.mark.parametrize("method", ["ogy", "search"])
-def test_a_search_is_bounded_in_integrator_steps(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, method: str
-) -> None:
+def test_a_search_is_bounded_in_integrator_steps(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
     """Under Coulomb friction landings may be hundreds of steps apart and no orbit be found: it took 24 s."""
     for limit in ("STEPS_IN_ALL", "STEPS_PER_EVENT"):
         monkeypatch.setattr(control, limit, getattr(control, limit) // 20)
-    coulomb = [word for change in ("friction.law=1", "drive.u0=0.01", "drive.omega=100") for word in ("--set", change)]
-    found = asked(capsys, "forced", "--period", "7", "--budget", "0.01", "--method", method, *coulomb)
+    coulomb = settings("friction.law=1", "drive.u0=0.01", "drive.omega=100")
+    found = answer(f"lock forced --period 7 --budget 0.01 --method {method}", *coulomb)
     assert (found["outcome"], found["locked"], found["orbit"]) == ("step limit", False, None)
     assert "shorter period" in found["advice"]
 
 
-def test_control_that_meets_the_step_limit_keeps_the_orbits(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_control_that_meets_the_step_limit_keeps_the_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control, "STEPS_IN_ALL", 450_000)  # 350 000 are taken up to the control
     monkeypatch.setattr(control, "STEPS_PER_EVENT", 0)
-    found = asked(capsys, "forced", "--period", "2", "--budget", "0.0001")
+    found = answer("lock forced --period 2 --budget 0.0001")
     assert (found["outcome"], found["locked"], found["events_to_lock"]) == ("step limit", False, None)
     assert len(found["orbits"]) > 1
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("base", "--period", "1", "--budget", "0.1"),
-        ("two-mass", "--period", "1", "--budget", "0.1"),
-        ("rig", "--set", "belt.ripple=0.01", "--set", "belt.ripple_hz=1", "--period", "1", "--budget", "0.1"),
-        ("forced", "--period", "0", "--budget", "0.1"),
-        ("forced", "--period", "101", "--budget", "0.1"),
-        ("forced", "--period", "1", "--budget", "-0.1"),
-        ("forced", "--period", "1", "--budget", "nan"),
-        ("forced", "--period", "1", "--budget", "2"),
-        ("forced", "--period", "1", "--budget", "0.1", "--events", "0"),
-        ("forced", "--period", "1", "--budget", "0.1", "--set", "drive.u0=0"),
-        ("forced", "--period", "1", "--budget", "0.1", "--set", "drive.omega=0"),
-    ],
-)
-def test_requests_that_cannot_be_are_refused(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
-    assert asked(capsys, *arguments, code=2)["error"]["do"]

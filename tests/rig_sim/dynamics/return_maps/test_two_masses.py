@@ -1,8 +1,6 @@
 """Two coupled masses: events, fixed point and the map from stick to stick, against published numbers and scipy."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,24 +20,19 @@ from rig_sim.integrate.pair_motion import SAMPLES, PairMotion
 from rig_sim.motion.two_masses import two_mass_events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
-from stickslip.errors import InputError
 
-BENCHMARKS = Path(__file__).resolve().parents[4] / "benchmarks"
-REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter4"]
+from ...shared import BENCHMARKS, CHAPTERS, answer
+
+REFERENCE = CHAPTERS["chapter4"]
 
 
 def thesis(v_belt=0.1, a=1.2, b=1.3, **mass):
     return TwoMassFlow(Flow(v_belt=v_belt, **mass), a, b)
 
 
-def answer(capsys, *words):
-    assert application.run(cli.app, [*words, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 @pytest.mark.parametrize("case", REFERENCE["map"], ids=lambda case: f"{case['V']}-{case['d']}")
-def test_the_map_of_the_thesis(capsys, case):
-    found = answer(capsys, "map", "two-mass", "--d", str(case["d"]), "--set", f"belt.speed={case['V']}")
+def test_the_map_of_the_thesis(case):
+    found = answer(f"map two-mass --d {case['d']} --set belt.speed={case['V']}")
     assert found["f"] == pytest.approx(case["f"], abs=1e-12)
     assert found["word"] == ("12" if case["d"] == 0.05 else "21")
 
@@ -93,8 +86,8 @@ def test_a_belt_that_runs_backwards_mirrors_the_map():
     assert StickMap(thesis(-0.1)).images(-d) == pytest.approx(-StickMap(thesis(0.1)).images(d), abs=0.0)
 
 
-def test_the_fixed_point_has_the_right_eigenvalues_not_those_printed_in_the_thesis(capsys):
-    found = answer(capsys, "fixed-point", "two-mass")
+def test_the_fixed_point_has_the_right_eigenvalues_not_those_printed_in_the_thesis():
+    found = answer("fixed-point two-mass")
     expected = REFERENCE["fixed_point_V0.1"]
     assert found["x"] == pytest.approx(expected["X"], abs=expected["tol"])
     for pair in expected["eig"]:
@@ -173,48 +166,33 @@ def test_every_event_ends_in_a_named_outcome(flow, d, outcome):
     assert math.isnan(found.d) == (outcome != "completed")
 
 
-def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
+def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(monkeypatch):
     # Basins at coupling.a = 1e6 used to take days: 50 000 steps an event, hundreds of attractors.
     for place, name in ((stick_map, "STEPS_IN_ALL"), (maps, "STEPS_PER_EVENT"), (section, "STEPS_OF_VALUE")):
         monkeypatch.setattr(place, name, 2000 if place is not maps else 1)
-    command = ["basins", "two-mass", "--cells", "300", "--json"]
-    assert application.run(cli.app, command) == 2
-    assert "step limit" in json.loads(capsys.readouterr().out)["error"]["what"]
-    swept = answer(capsys, "sweep", "two-mass", "--over", "coupling.a=1:1.2:2")["rows"]
+    assert "step limit" in answer("basins two-mass --cells 300", code=2)["error"]["what"]
+    swept = answer("sweep two-mass --over coupling.a=1:1.2:2")["rows"]
     assert [(row["attractor"], row["points"], row["outcome"]) for row in swept] == [(0, [], "step limit")] * 2
 
 
-@pytest.mark.parametrize("command", [["sweep", "two-mass", "--over", "belt.speed=0.1:0.2:41"], ["basins", "two-mass"]])
-def test_a_coupling_too_stiff_for_one_event_is_refused_at_once(capsys, monkeypatch, command):
-    """At coupling.a = 1e9 each of 41 values took its 2e7 steps, 10 s, to say "step limit"."""
-    monkeypatch.setattr(stick_map, "apply_map", lambda *_: pytest.fail("an event was followed"))
-    monkeypatch.setattr(stick_map, "compiled_events", lambda: pytest.fail("an event was followed"))
-    assert application.run(cli.app, [*command, "--set", "coupling.a=1e9", "--json"]) == 2
-    error = json.loads(capsys.readouterr().out)["error"]
-    assert error["what"].startswith("step limit: with a coupling of 1e+09 one event takes more than 200000")
-    assert error["where"] == "map of two masses"
-    assert error["do"] == "take a coupling.a of 2e+06 or less"
-
-
-def test_a_slow_drive_until_the_end_of_time_ends_at_the_step_limit(capsys):
+def test_a_slow_drive_until_the_end_of_time_ends_at_the_step_limit():
     """No overflow either: warnings are errors here."""
-    found = answer(capsys, "events", "forced", "--until", "1e300", "--set", "drive.omega=1e-9", "--max-steps", "2000")
+    found = answer("events forced --until 1e300 --set drive.omega=1e-9 --max-steps 2000")
     assert (found["outcome"], found["steps"]) == ("step limit", 2000)
 
 
-def test_the_values_of_a_continuation_share_its_steps(capsys, monkeypatch):
+def test_the_values_of_a_continuation_share_its_steps(monkeypatch):
     """Each value, and each step towards a special point, used to have 10^8 steps of its own: hours for stiff pairs."""
     monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 400_000)  # one value takes 200 000
     monkeypatch.setattr(branches, "STEPS_PER_VALUE", 100_000)
-    command = ["continue", "two-mass", "--over", "belt.speed=0.15:0.153:4", "--json"]
-    assert application.run(cli.app, command) == 2
-    assert "step limit" in json.loads(capsys.readouterr().out)["error"]["what"]
+    error = answer("continue two-mass --over belt.speed=0.15:0.153:4", code=2)["error"]
+    assert "step limit" in error["what"]
 
 
-def test_many_iterates_are_compiled_and_the_same(capsys):
+def test_many_iterates_are_compiled_and_the_same():
     # A thousand events used to be interpreted one by one: 100 000 took a quarter of an hour.
-    few = answer(capsys, "map", "two-mass", "--d", "0.05", "--iterate", "9")
-    many = answer(capsys, "map", "two-mass", "--d", "0.05", "--iterate", "1009")
+    few = answer("map two-mass --d 0.05 --iterate 9")
+    many = answer("map two-mass --d 0.05 --iterate 1009")
     assert many["word"].split()[:9] == few["word"].split()
     assert len(many["word"].split()) == 1009
 
@@ -230,35 +208,12 @@ def test_a_belt_at_rest_has_no_map():
         StickMap(thesis(0.0))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"friction.law": 6}, "ramp"),
-        ({"drive.u0": 1.0, "drive.omega": 1.0}, "drive beside coupling"),
-        ({"belt.ripple": 0.1}, "belt.ripple"),
-        ({"start.x": 0.1}, "start.x or"),
-        ({"coupling.a": -1.0}, "coupling.a"),
-    ],
-)
-def test_what_two_masses_do_not_have_is_refused(changes, message):
-    with pytest.raises(InputError, match=message):
-        scene("two-mass", **changes)
-
-
-def test_what_is_for_one_mass_refuses_two_and_the_other_way_round(capsys):
-    assert application.run(cli.app, ["cycle", "two-mass"]) == 2
-    assert application.run(cli.app, ["map", "base", "--d", "0.1"]) == 2
-    assert "coupling" in capsys.readouterr().err
-    with pytest.raises(InputError, match="without coupling"):
-        scene("base", **{"start.d": 0.1})
-
-
-def test_events_and_motion_agree(capsys, tmp_path):
-    listed = answer(capsys, "events", "two-mass", "--until", "30")
+def test_events_and_motion_agree(tmp_path):
+    listed = answer("events two-mass --until 30")
     assert [event["kind"] for event in listed["events"]][:4] == ["SS>SN", "SN>NN", "NN>SN", "SN>SS"]
     assert listed["events"][3]["x2"] - listed["events"][3]["x1"] == pytest.approx(0.1193418518572602, abs=1e-12)
     path = tmp_path / "motion.csv"
-    answer(capsys, "run", "two-mass", "--until", "30", "--rate", "10", "-o", str(path))
+    answer("run two-mass --until 30 --rate 10 -o", path)
     columns = np.genfromtxt(path, delimiter=",", names=True)
     assert columns.dtype.names == ("t", "x1", "v1", "F1", "x2", "v2", "F2")
     assert len(columns) == 301

@@ -1,19 +1,10 @@
-"""Textbook systems, each once, for the analyses that name no system."""
+"""Textbook systems for the analyses that name no system."""
 
 import math
-import sys
-from types import ModuleType
 
 import numpy as np
-import pytest
 
 from rig_sim.dynamics.system.formula import FormulaMap
-
-
-@pytest.fixture(scope="session")
-def textbook() -> ModuleType:
-    """Return the classes of this module by name."""
-    return sys.modules[__name__]
 
 
 class Logistic(FormulaMap):
