@@ -13,7 +13,7 @@ import pytest
 
 import daq
 
-from .conftest import FakeFrames, motion
+from ..boards import FakeFrames, motion
 
 pytestmark = [
     pytest.mark.slow,  # each records for seconds

@@ -11,7 +11,7 @@ import daq
 from processing import stage
 from stickslip.errors import EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, InputError
 
-from ..contract.conftest import FakeFrames, motion
+from ..boards import FakeFrames, motion
 from . import tasks
 from .forked import Ended, Fork, Server
 from .result import Result, Size

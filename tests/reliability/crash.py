@@ -8,7 +8,7 @@ import numpy as np
 
 import daq
 
-from ..contract.conftest import FakeFrames
+from ..boards import FakeFrames
 from . import tasks
 from .forked import KILL, WRITE, Server
 from .result import Result, Size

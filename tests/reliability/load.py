@@ -14,7 +14,7 @@ import numpy as np
 import daq
 from daq.runfile import store
 
-from ..contract.conftest import FakeFrames, motion
+from ..boards import FakeFrames, motion
 from . import tasks
 from .result import Result, Size
 
