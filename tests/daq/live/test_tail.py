@@ -13,7 +13,7 @@ from daq.runfile import journal, journal_records
 from daq.runfile.recording import Recording
 from stickslip.errors import InputError
 
-RATE_HZ = 1000
+from ...journals import write_journal
 
 
 def followed(part: Path, step: int) -> tuple[JournalTail, np.ndarray, np.ndarray, np.ndarray]:
@@ -82,34 +82,16 @@ def test_gaps_are_counted(keep_journal: Callable[..., Path]) -> None:
 
 def text_journal(part: Path, *, reopen_at: int | None = None, n: int = 3000) -> None:
     """Write the journal of a sketch that prints time and count; its port is lost once, and its clock starts again."""
-    header = {
-        "protocol": "text",
-        "columns": "t_us,count",
-        "decoder": None,
-        "port": "/dev/ttyACM0",
-        "baud": 115200,
-        "rate_hz": RATE_HZ,
-        "samples": None,
-        "title": "a sketch",
-        "operator": "",
-        "wall_ns": 1_700_000_000_000_000_000,
-        "monotonic_ns": 0,
-        "utc_offset_s": 0,
-        "warnings": [],
-        "provenance": {},
-    }
-    writer = journal.Writer(part, header)
-    began = 0
+    records, began = [], 0
     for k in range(0, n, 20):
         if k == reopen_at:
-            writer.append(journal.LOST, k * 1_000_000, b"unplugged")
-            writer.append(journal.REOPENED, k * 1_000_000 + 500_000_000, b"/dev/ttyACM0")
+            records.append((journal.LOST, k * 1_000_000, b"unplugged"))
+            records.append((journal.REOPENED, k * 1_000_000 + 500_000_000, b"/dev/ttyACM0"))
             began = k
         late = 500_000_000 if began else 0
         lines = [b"%d,%d\n" % (1000 * (i - began) + 7, round(4000 * np.sin(i / 200))) for i in range(k, k + 20)]
-        writer.append(journal.RECEIVED, (k + 20) * 1_000_000 + late, b"".join(lines))
-    writer.append(journal.END, n * 1_000_000, b'{"reason": "stopped"}')
-    writer.close()
+        records.append((journal.RECEIVED, (k + 20) * 1_000_000 + late, b"".join(lines)))
+    write_journal(part, [*records, (journal.END, n * 1_000_000, b'{"reason": "stopped"}')])
 
 
 @pytest.mark.parametrize("reopen_at", [None, 1500])
@@ -128,15 +110,13 @@ def test_text_lines_are_followed_across_a_lost_port(tmp_path: Path, reopen_at: i
 def test_a_stream_without_lines_is_not_kept(tmp_path: Path) -> None:
     part = tmp_path / "noise.h5.part"
     text_journal(part, n=20)
-    writer = part.open("ab")
     tail = JournalTail(part)
     tail.poll()
     for k in range(30):
-        writer.write(b"".join(journal_records.pack(journal.RECEIVED, k, b"\xff" * 5000)))
-        writer.flush()
+        with part.open("ab") as file:
+            file.write(b"".join(journal_records.pack(journal.RECEIVED, k, b"\xff" * 5000)))
         assert tail.poll() == []
     assert sum(len(data) for _, data in tail._reads) <= 1 << 15
-    writer.close()
 
 
 def test_a_journal_that_is_gone_and_what_is_no_journal(tmp_path: Path) -> None:
