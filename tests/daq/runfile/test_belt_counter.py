@@ -90,7 +90,6 @@ def test_a_gap_the_belts_counter_may_have_gone_round_in_is_not_joined() -> None:
     short, long = (check(samples(run, gap)) for gap in (0.3, 0.8))
     assert short.starts.tolist() == [0]
     sent = samples(run, 0.3).belt
-    assert sent is not None
     assert belt_counter.unwrap_count(sent, 16, short.starts)[-1] == 29 * 698
     assert long.starts.tolist() == [0, 200]
     assert long.reasons[1] == "invalid"
@@ -111,18 +110,12 @@ def recorded(path: Path, *changes: str, duration: float = 8.0) -> daq.Recording:
 
 def test_a_recorded_belt_is_the_simulated_one_through_every_roll_over(tmp_path: Path) -> None:
     run = recorded(tmp_path / "run.h5", "belt.channel=true", "tell.truth=true")
-    assert run.raw is not None
-    assert run.raw.belt_count is not None
     assert run.raw.belt_count.dtype == np.uint16
     assert (np.diff(run.raw.belt_count.astype(int)) < 0).sum() == 3
-    assert run.belt_count is not None
     truth = store.truth(tmp_path / "run.h5")
-    assert truth is not None
     np.testing.assert_array_equal(
         run.belt_count, np.floor(0.22 * np.maximum(truth.time - 0.5, 0) / DELTA + 1e-6).astype(int)
     )
-    assert run.belt_velocity is not None
-    assert run.rig.belt_metres_per_count is not None
     running = run.time > 0.52
     np.testing.assert_allclose(run.belt_velocity[running], 0.22, atol=2 * DELTA / 0.02 + 4 * 2e-4 * 0.22)
     assert not run.belt_velocity[run.time < 0.48].any()
@@ -189,8 +182,6 @@ def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
     found = record(RecordRequest(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
     run = store.load(path)
     assert any("no metres per belt count" in warning for warning in found.warnings)
-    assert run.raw is not None
-    assert run.raw.belt_count is not None
     assert run.raw.belt_count.any()
     assert run.belt_count is None
     assert run.belt_velocity is None
@@ -221,8 +212,6 @@ def test_a_replayed_run_has_its_belt_and_another_calibration_gives_it_another_sp
     np.testing.assert_array_equal(again.belt_count, first.belt_count)
     np.testing.assert_array_equal(again.belt_velocity, first.belt_velocity)
     halved = replay.recalibrate(again, Rig(belt_metres_per_count=Measured(-DELTA / 2)))
-    assert first.belt_velocity is not None
-    assert first.rig.belt_metres_per_count is not None
     scale = -DELTA / 2 / first.rig.belt_metres_per_count.value
     np.testing.assert_allclose(halved.belt_velocity, scale * first.belt_velocity, rtol=1e-12)
     unknown = replay.recalibrate(again, Rig())

@@ -61,15 +61,12 @@ def test_a_run_loads_with_the_same_content(files: Path, name: str) -> None:
     if wanted["belt"] is None:
         assert run.belt_count is None
     else:
-        assert run.belt_count is not None
-        assert run.belt_velocity is not None
         assert run.belt_count[-1] == wanted["belt"][0]
         assert float(run.belt_velocity.sum()) == pytest.approx(wanted["belt"][1], rel=1e-9)
 
 
 def test_the_truth_of_a_simulated_run_is_read(files: Path) -> None:
     truth, wanted = store.truth(files / "simulated.h5"), NUMBERS["simulated"]["truth"]
-    assert truth is not None
     assert (truth.time.size, truth.scene) == (wanted["samples"], wanted["scene"])
     for name in ("x", "v", "F"):
         assert float(getattr(truth, name).sum()) == pytest.approx(wanted[name], rel=1e-12)
@@ -78,7 +75,6 @@ def test_the_truth_of_a_simulated_run_is_read(files: Path) -> None:
 
 def test_the_stored_smoothing_is_read(files: Path) -> None:
     motion, wanted = stage.load(files / "simulated.h5"), NUMBERS["simulated"]["smooth"]
-    assert motion is not None
     assert (motion.method, motion.window, motion.order) == (wanted["method"], wanted["window"], wanted["order"])
     assert motion.belt_speed == wanted["belt_speed"]
     assert [[phase.kind, phase.start, phase.end] for phase in motion.phases] == wanted["phases"]
@@ -98,7 +94,6 @@ def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
 
 def test_a_simulated_run_smooths_to_its_true_velocity(files: Path) -> None:
     motion, truth = processing.smooth(daq.load(files / "simulated.h5")), store.truth(files / "simulated.h5")
-    assert truth is not None
     error = motion.velocity - np.interp(motion.time, truth.time, truth.v)
     assert float(np.sqrt(np.mean(error**2))) < 0.2e-3
 
