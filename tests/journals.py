@@ -10,10 +10,10 @@ HEADER = {
 }
 
 
-def write_journal(part, records=(), **header):
+def write_journal(part, records=(), header=HEADER):
     """Write the journal of records, each its kind, stamp in ns and bytes; return its path."""
     part.unlink(missing_ok=True)
-    writer = journal.Writer(part, HEADER | header)
+    writer = journal.Writer(part, header)
     for record in records:
         writer.append(*record)
     writer.close()

@@ -8,15 +8,12 @@ from daq.finalise import claim
 from daq.runfile import journal, journal_records
 from stickslip.errors import InputError
 
-HEADER = {"protocol": "frames", "rate_hz": 1000}
+from ...journals import HEADER, write_journal
 
 
 def test_only_a_journal_without_received_bytes_makes_way(tmp_path):
     # One that was left before its header was whole used to block the name until somebody deleted it.
-    written = tmp_path / "run.h5.part"
-    writer = journal.Writer(written, HEADER)
-    writer.append(journal.RECEIVED, 10, b"abc")
-    writer.close()
+    written = write_journal(tmp_path / "run.h5.part", [(journal.RECEIVED, 10, b"abc")])
     whole = written.read_bytes()
     received = next(
         place.at for place in journal_records.scan(journal.Content(whole)) if place.record.kind == journal.RECEIVED

@@ -15,7 +15,7 @@ from daq.runfile.spill import Spill
 from daq.stream import clock as clock_sync
 from daq.wire import frames as wire
 
-from ...journals import write_journal
+from ...journals import HEADER, write_journal
 
 
 def compare(host, device, following=None, *, by_bytes=False):
@@ -217,7 +217,7 @@ def test_a_recorded_line_gives_drift_and_offset_through_journal_and_file(tmp_pat
     for stamp, begin, end in zip(host, [0, *ends[:-1]], ends, strict=True):
         if end > begin:
             records.append((journal.RECEIVED, round(1e9 * (1000 + stamp)), line[begin:end]))
-    write_journal(tmp_path / "run.h5.part", records, protocol="frames")
+    write_journal(tmp_path / "run.h5.part", records, HEADER | {"protocol": "frames"})
     found = finalise.finalise(tmp_path / "run.h5.part", tmp_path / "run.h5", finished_by="test")
     assert (found.samples, found.lost) == (60_000, 0)
     assert found.clock_ppm == pytest.approx(ppm, abs=5)

@@ -28,6 +28,7 @@ from daq.wire import frames
 from stickslip.errors import DataError, DeviceError, InputError
 
 from ...boards import BoardPort, motion
+from ...journals import HEADER, write_journal
 
 CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\n"
 RATE = 1000
@@ -430,10 +431,7 @@ def test_markers_from_another_process_become_events(tmp_path, attach):
 
 
 def test_a_journal_without_samples_is_said_to_be_that_and_stays(tmp_path):
-    part = tmp_path / "run.h5.part"
-    header = {"protocol": "frames", "rate_hz": 1000, "samples": 10, "port": "COM3", "title": "", "operator": ""}
-    header |= {"wall_ns": 0, "monotonic_ns": 0, "utc_offset_s": 0, "warnings": [], "provenance": {}}
-    journal.Writer(part, header).close()
+    part = write_journal(tmp_path / "run.h5.part", header=HEADER | {"protocol": "frames"})
     with pytest.raises(DataError, match="no samples"):
         finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
     assert part.exists()
