@@ -1,30 +1,17 @@
 """The tools of these tests, and what they make: the firmware built anew, the emulator, the bench around both."""
 
-import importlib.util
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from ..conftest import need
+from . import bench
 
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[1] / "firmware"
 COMPILER = "5.4.0"  # of the committed .hex files; another one makes other bytes
-
-# The module beside this file is loaded by its path.
-_spec = importlib.util.spec_from_file_location("firmware_bench", HERE / "bench.py")
-_bench = importlib.util.module_from_spec(_spec)
-sys.modules["firmware_bench"] = _bench
-_spec.loader.exec_module(_bench)
-
-
-@pytest.fixture(scope="session")
-def bench():
-    """Give the bench's module."""
-    return _bench
 
 
 @pytest.fixture(scope="session")
@@ -62,7 +49,7 @@ def emulator(tmp_path_factory):
 
 
 @pytest.fixture
-def switch_on(emulator, latch_address, bench, tmp_path):
+def switch_on(emulator, latch_address, tmp_path):
     """Give a function that returns a board in the emulator, with the firmware as committed; a context manager."""
 
     def on(kind="uno", **more):

@@ -56,7 +56,7 @@ def chosen(calls: tuple[int, ...], amount: int) -> list[int]:
 def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amount: int) -> tuple[int, int, list[str]]:
     """Return how many kill points were tried, how many calls there are, and the faults."""
     task = TASKS[name]
-    known = tasks.undisturbed(server, task, sources, folder)
+    known = tasks.undisturbed(server, task, sources)
     whole, left = known.ended, sorted(known.after)
     faults = []
     if (whole.code, left) != (task.ends, sorted(task.leaves)):
@@ -110,12 +110,8 @@ def _kill_while_recording(
 ) -> tuple[int, float]:
     """Record, and kill the recorder so long after the first sample.
 
-    Returns
-    -------
-    samples : int
-        What the board had sent.
-    longest_s : float
-        The longest time between two syncs of the journal, or from the last one to the end.
+    Return the samples that the board had sent, and the longest time between two syncs of the journal, or from the last
+    one to the end.
     """
     child = server.start(line, place)
     until = time.monotonic() + 60

@@ -85,7 +85,7 @@ class Trial:
 
     def __init__(self, server: Server, sources: Path, folder: Path) -> None:
         self._server, self._sources, self._folder = server, sources, folder
-        self._known = {name: tasks.undisturbed(server, task, sources, folder) for name, task in TASKS.items()}
+        self._known = {name: tasks.undisturbed(server, task, sources) for name, task in TASKS.items()}
 
     def calls(self, name: str) -> tuple[int, ...]:
         """Return the kinds of an undisturbed command's calls."""

@@ -225,8 +225,7 @@ def _run(program: str, *arguments: object) -> dict[str, Any]:
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=HANGS_S)
     if done.returncode:
         raise RuntimeError(f"the recorder ended with {done.returncode}: {done.stderr[-500:]}")
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    return json.loads(done.stdout)
 
 
 def _wrong(output: Path, samples: int, rate_hz: int) -> list[str]:

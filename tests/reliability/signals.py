@@ -220,7 +220,7 @@ def _at_calls(server: Server, sources: Path, folder: Path, size: Size) -> tuple[
     """Interrupt every command before its calls; return how often, and the faults."""
     tried, faults = 0, []
     for task in TASKS.values():
-        known = tasks.undisturbed(server, task, sources, folder)
+        known = tasks.undisturbed(server, task, sources)
         calls = known.ended.calls
         for at in tasks.spread(list(range(1, len(calls) + 1)), max(2, size.amount // 25)):
             task.begin(sources, folder)

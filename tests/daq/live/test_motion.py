@@ -11,16 +11,7 @@ from daq.live.tail import NewSamples
 from .motions import pieces, samples
 
 
-def test_a_parabola_is_found_exactly_at_uneven_times() -> None:
-    t = np.cumsum(np.random.default_rng(1).uniform(0.5e-3, 1.5e-3, 60)) + 500.0
-    u = t - t[30]
-    v, a = fit_parabolas(t, 0.3 - 0.7 * u + 2.5 * u * u, 21, 1.0)
-    assert v.shape == (40,)
-    np.testing.assert_allclose(v, -0.7 + 5 * u[10:50], rtol=1e-6)
-    np.testing.assert_allclose(a, 5.0, rtol=1e-4)
-
-
-def test_parabolas_are_those_of_polyfit() -> None:
+def test_parabolas_are_those_of_polyfit_at_uneven_times() -> None:
     draw = np.random.default_rng(3)
     t, x = np.cumsum(draw.uniform(0.5, 1.5, 30)), draw.normal(size=30)
     v, a = fit_parabolas(t, x, 9, 100.0)

@@ -173,6 +173,18 @@ def test_a_source_that_gives_nothing_is_ended(tmp_path, monkeypatch, then, began
     assert time.monotonic() - begun < 5
 
 
+def test_a_file_beside_the_journal_ends_the_recording(tmp_path):
+    def ask(k):
+        if k >= 5:
+            (tmp_path / "run.h5.stop").touch()
+            time.sleep(0.05)
+
+    found, run = taken(tmp_path, card(np.zeros(100_000), np.arange(100_000) / RATE, after=ask))
+    assert found.ended == journal.STOPPED
+    assert 500 <= found.samples == run.time.size < 5000
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
+
+
 def test_ctrl_c_in_the_source_keeps_what_came(tmp_path):
     found, run = taken(tmp_path, card(after=failing(7, KeyboardInterrupt())), seconds=2)
     assert (found.samples, found.ended, found.short) == (700, "stopped", False)

@@ -375,6 +375,17 @@ def test_a_stop_keeps_what_came(tmp_path, attach):
     assert daq.load(tmp_path / "run.h5").count.size == found.samples
 
 
+def test_a_file_beside_the_journal_ends_the_recording_as_the_first_ctrl_c_does(tmp_path, attach):
+    attach(board(paced=True))
+    asked = tmp_path / "run.h5.stop"
+    asked.touch()  # one that an earlier recording of this name has left ends nothing
+    found = record(request(tmp_path, 600_000), progress=lambda seconds: seconds > 0.2 and asked.touch())
+    assert (found.ended, found.lost, found.short) == (journal.STOPPED, 0, False)
+    assert 0.2 < found.duration_s < 60.0
+    assert daq.load(tmp_path / "run.h5").time.size == found.samples
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
+
+
 def test_an_interrupted_recording_or_recover_is_completed_by_recover(tmp_path, attach):
     # "The output file exists", it used to say, of the run file that was made of this journal.
     attach(board(), board())
