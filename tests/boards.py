@@ -75,7 +75,6 @@ class Board:
         self.out = self.greeting()
 
     def wait_s(self):
-        """Return for how long the next unit is not due."""
         if self.k == 0:
             self._began = time.monotonic()
         if not self.paced:
@@ -90,12 +89,10 @@ class Board:
             self.out += self.answer(line)
 
     def fault(self):
-        """Return what goes wrong with the next unit."""
         lasting = (fault for when, fault in self._lasting if self.sent in when)
         return self.faults.get(self.sent) or next(lasting, None)
 
     def send(self):
-        """Return the next unit as the line carries it."""
         line, fault = self.encode(self.k), self.fault()
         self.k += 1
         self.sent += 1
@@ -331,8 +328,6 @@ class FakeTicks(FakeText):
 
 
 class FakeLabelled(FakeText):
-    """Its columns are not declared."""
-
     columns = None
 
     def encode(self, k):

@@ -16,7 +16,6 @@ COMPILER = "5.4.0"  # of the committed .hex files; another one makes other bytes
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory):
-    """Give the folder of a fresh build."""
     need(shutil.which("avr-gcc") and Path("/usr/lib/avr/include/avr/io.h").is_file(), "avr-gcc and avr-libc are needed")
     version = subprocess.run(["avr-gcc", "-dumpversion"], capture_output=True, text=True, check=True).stdout.strip()
     need(version == COMPILER, f"this is avr-gcc {version}; the committed .hex are built with {COMPILER}")
@@ -39,7 +38,6 @@ def latch_address(built):
 
 @pytest.fixture(scope="session")
 def emulator(tmp_path_factory):
-    """Give the emulator, compiled."""
     need(Path("/usr/include/simavr/sim_avr.h").is_file(), "libsimavr-dev is needed")
     need(shutil.which("gcc"), "gcc is needed")
     program = tmp_path_factory.mktemp("emulator") / "emulator"

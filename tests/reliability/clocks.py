@@ -65,7 +65,6 @@ def _row(promise: str, tried: str, number: str, faults: list[str]) -> Result:
 
 
 def _board(samples: int, block: int, starts: dict[str, int]) -> Iterator[bytes]:
-    """Yield the frames of a board whose counters start somewhere."""
     has = frames.Capability
     capabilities = has.BLOCKS | has.LEVELS | has.BELT
     yield frames.encode_ident(frames.Ident((1, 0, 0), "x4", capabilities, 16, 1000, block, 10_000, 10**7, "clocks"))
@@ -89,7 +88,6 @@ def _journal(path: Path, sent: list[bytes], stamps: NDArray[np.int64], **header:
 
 
 def _stamps(sent: list[bytes], block: int) -> NDArray[np.int64]:
-    """Return when each frame came: with its last sample."""
     return np.arange(len(sent), dtype=np.int64) * block * PERIOD_US * 1000
 
 
@@ -107,7 +105,6 @@ def _wrong(recorded: journal.Journal, samples: int) -> str:
 
 
 def _wrap_everywhere(size: Size, folder: Path) -> tuple[list[str], int]:
-    """Return the faults of wraps before each sample, and how many were tried."""
     faults, tried, whole = [], 0, session.PIECE_BYTES
     for block in BLOCKS:
         for name, (bits, rise) in WRAPS.items():
@@ -126,7 +123,6 @@ def _wrap_everywhere(size: Size, folder: Path) -> tuple[list[str], int]:
 
 
 def _dates(folder: Path, minutes_apart: int) -> tuple[list[str], int]:
-    """Return the faults of dates, and how many were tried."""
     faults, tried, samples = [], 0, 304
     sent = list(_board(samples, 8, {}))
     for date in DATES:
@@ -153,7 +149,6 @@ def _dates(folder: Path, minutes_apart: int) -> tuple[list[str], int]:
 
 
 def _jumps(folder: Path) -> tuple[list[str], int]:
-    """Return the faults of jumps of the host's clock, and how many were tried."""
     faults, samples = [], 8000
     sent = list(_board(samples, 8, {}))
     for jump in JUMPS_S:

@@ -52,12 +52,10 @@ class Ended:
 
     @property
     def traceback(self) -> bool:
-        """Whether it printed a traceback."""
         return "Traceback (most recent call last)" in self.err
 
 
 def compiled(folder: Path) -> Path:
-    """Compile the library to preload into a folder; return its path."""
     library = folder / "preload.so"
     line = ["cc", "-std=gnu11", "-O2", "-Wall", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl", "-lrt"]
     subprocess.run(line, check=True)
@@ -94,7 +92,6 @@ class Server:
 
     @property
     def cpu_s(self) -> float:
-        """CPU time of the server and of the forks that have ended, s."""
         used = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()[11:15]
         return sum(map(int, used)) / os.sysconf("SC_CLK_TCK")
 
@@ -131,7 +128,6 @@ class Server:
         return Fork(self, self._ask(asked)["pid"], output)
 
     def wait(self, pid: int, output: str, hangs_s: float) -> Ended:
-        """Wait for a fork that `start` made."""
         found = self._ask({"do": "wait", "pid": pid, "hangs_s": hangs_s})
         texts = {}
         for name in ("out", "err"):
@@ -163,16 +159,13 @@ class Fork:
     output: str
 
     def send(self, number: int) -> None:
-        """Send a signal."""
         os.kill(self.pid, number)
 
     def wait(self, hangs_s: float = HANGS_S) -> Ended:
-        """Wait for its end, at most so long."""
         return self.server.wait(self.pid, self.output, hangs_s)
 
 
 def _serve(library: ctypes.CDLL) -> None:
-    """Answer requests until stdin ends."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     for request in sys.stdin:

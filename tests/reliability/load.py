@@ -113,7 +113,6 @@ def load(size: Size, folder: Path) -> list[Result]:
 
 
 def _long(rate_hz: int, size: Size, folder: Path) -> Result:
-    """Record as fast as the line goes."""
     samples = size.amount * rate_hz
     output = folder / f"{rate_hz}.h5"
     found = _recorded(output, rate_hz, samples)
@@ -174,7 +173,6 @@ def _asleep(seconds: int, folder: Path) -> Result:
 
 
 def _unplugged(times: int, folder: Path) -> Result:
-    """Unplug the board again and again, every `UNPLUGGED_S` of its own time."""
     units = UNPLUGGED_S * FakeFrames.rate_hz // BLOCK
     samples, output = (times + 1) * UNPLUGGED_S * FakeFrames.rate_hz, folder / "unplugged.h5"
     with FakeFrames(folder / "ttyPLUG", {units * (k + 1): "unplug" for k in range(times)}) as board:
@@ -202,7 +200,6 @@ def _unplugged(times: int, folder: Path) -> Result:
 
 
 def _recorded(output: Path, rate_hz: int, samples: int) -> dict[str, Any]:
-    """Record a board that sends as fast as it is read; return what the recorder found."""
     from daq.wire import frames
 
     capabilities = frames.Capability.BLOCKS | frames.Capability.LEVELS

@@ -124,7 +124,6 @@ def _dependencies() -> Result:
 
 
 def _cache(folder: Path) -> Result:
-    """Let a folder of machine code be one into which others may write."""
     script = "from stickslip.compute.compile import cache_folder; print(cache_folder(('stickslip.errors',)))"
     faults, said = [], []
     for name, mode, own in (("private", 0o700, True), ("shared", 0o777, False), ("sticky", 0o1777, True)):
@@ -165,7 +164,6 @@ def _live(folder: Path, *notes: str) -> Iterator[SplitResult]:
 
 
 def _server(size: Size, folder: Path) -> Result:
-    """Ask the live server for what it must not give."""
     chance = np.random.default_rng(size.seed)
     faults = []
     with _live(folder) as url:
@@ -229,7 +227,6 @@ def _asked(
 
 
 def _listening(port: int) -> set[str]:
-    """Return the addresses, as in /proc/net/tcp, on which a port listens."""
     found = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for row in Path(table).read_text().splitlines()[1:]:
@@ -240,7 +237,6 @@ def _listening(port: int) -> set[str]:
 
 
 def _pages(folder: Path) -> Result:
-    """Open every page in a browser, of runs whose texts are scripts."""
     promise = "no text of a run, a journal or a marker is executed in a page, and no page asks the network for anything"
     test = {"test": "tests/browser/test_report_page.py"}
     chromium = shutil.which("chromium")

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 import daq
-from stickslip.errors import EXIT_DATA
+from stickslip.errors import EXIT_DATA, EXIT_INTERRUPTED
 
 from .forked import HANGS_S, KILL, RENAME, Ended, Server
 
@@ -39,7 +39,6 @@ class Task:
 
     @property
     def leaves(self) -> set[str]:
-        """The names that it leaves."""
         return {*self.files, *self.makes} - {*self.consumes}
 
     def begin(self, sources: Path, folder: Path) -> None:
@@ -103,7 +102,6 @@ Contents = dict[str, "dict[str, bytes] | bytes"]
 
 
 def contents(folder: Path) -> Contents:
-    """Return what every file of a folder holds, by name."""
     return {path.name: content(path) for path in sorted(folder.iterdir())}
 
 
@@ -118,7 +116,6 @@ class Undisturbed:
 
 @cache
 def undisturbed(server: Server, task: Task, sources: Path) -> Undisturbed:
-    """Run a command in a folder of its own."""
     folder = sources.parent / "undisturbed"
     task.begin(sources, folder)
     before = contents(folder)
@@ -126,11 +123,44 @@ def undisturbed(server: Server, task: Task, sources: Path) -> Undisturbed:
     return Undisturbed(before, contents(folder), ended)
 
 
-def aftermath(server: Server, task: Task, folder: Path, known: Undisturbed, where: str) -> tuple[list[str], int | None]:
-    """Look at the files that a disturbed command left, do what a person would do next, and look again.
+@dataclass(frozen=True)
+class Trials:
+    """The commands of `TASKS` in one folder, each disturbed at one of its calls."""
 
-    Return the faults, and the samples of the journal that was left, if any.
-    """
+    server: Server
+    sources: Path
+    folder: Path
+
+    def known(self, name: str) -> Undisturbed:
+        return undisturbed(self.server, TASKS[name], self.sources)
+
+    def disturb(
+        self, name: str, at: int, how: str, *codes: int, clean: bool = False, **spoil: int
+    ) -> tuple[list[str], int | None]:
+        """Spoil a call of a command, which must end with one of ``codes``, then do what a person would do next.
+
+        Return the faults, and the samples of the journal that was left, if any.  ``clean``: nothing half-made is left.
+        """
+        task = TASKS[name]
+        task.begin(self.sources, self.folder)
+        ended = self.server.run(list(task.line), self.folder, at=at, **spoil)
+        where = f"{' '.join(task.line)}, {how} call {at} ({ended.name})"
+        found = [f"{where}: {what}" for what in ended_badly(ended, task, *codes)]
+        found += [f"{where}: {path.name} is left" for path in self.folder.glob(".*.partial") if clean]
+        following, samples = aftermath(self.server, task, self.folder, self.known(name), where)
+        return found + following, samples
+
+
+def ended_badly(ended: Ended, task: Task, *codes: int) -> list[str]:
+    """Return whether a disturbed command ended otherwise than with one of ``codes`` and, but for its own, a line."""
+    if ended.hung or ended.traceback or ended.code not in codes:
+        return [f"{'hung, ' * ended.hung}ended with {ended.code}: {ended.err}"]
+    silent = ended.code not in (task.ends, EXIT_INTERRUPTED) and ended.code > 0 and not ended.err.strip()
+    return [f"ended with {ended.code} without a word"] * silent
+
+
+def aftermath(server: Server, task: Task, folder: Path, known: Undisturbed, where: str) -> tuple[list[str], int | None]:
+    """Look at the files that a disturbed command left, do what a person would do next, and look again."""
     found = [f"{where}: {what}" for what in spoiled(task, folder, known.before, known.after)]
     following, samples = _follow(server, task, folder, known.after)
     found += [f"{where}, then {what}" for what in following]
@@ -181,7 +211,6 @@ def _follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[
 
 
 def _differences(now: Contents, after: Contents, recording: bool) -> list[str]:
-    """Return how a folder differs from that of a command that was not killed."""
     found = [f"{name} is left over" for name in now if name not in after]
     found += [f"{name} is missing" for name in after if name not in now]
     if not recording:

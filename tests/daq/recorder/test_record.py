@@ -87,7 +87,6 @@ def gone(error):
 
 
 def changed(change):
-    """Return a fault that changes the block of samples of a frame."""
     return lambda line: frames.encode_samples(change(frames.FrameReader().feed(line)[0]))
 
 
@@ -106,7 +105,6 @@ LEAPT = {"samples": 800, "lost": 0, "segments": 2, "measured_rate_hz": pytest.ap
 
 
 def leap(leap_s):
-    """Return a row of a clock that leaps while the sequence goes on."""
     words = {"warned": [f"clock leapt, by {leap_s:g} s at 0.4"], "noted": [f"leapt by +{1e3 * leap_s:.0f} ms"]}
     expected = LEAPT | words | {"events": [(400, "reopened")]}
     return [{range(50, ALWAYS): moved(ticks=round(1e6 * leap_s))}], 800, expected
@@ -166,6 +164,8 @@ RUNS = {
     "a silent reset": ([{range(200, ALWAYS): moved(-1600, -1_600_000)}], 4000, JUMPED),
     "a silent reset after an hour": ([{range(200, ALWAYS): moved(30_000, 1_200_000_000)}], 4000, JUMPED),
     "a jump of sequence and clock": ([{range(200, ALWAYS): moved(-1000, 77)}], 4000, JUMPED),
+    "a jump that is no roll-over": ([{range(200, ALWAYS): moved(69_600, 2_100_000)}], 4000, JUMPED),
+    "a jump back in the sequence": ([{range(200, ALWAYS): moved(-200, 500_000)}], 4000, JUMPED),
     # A leap stood in the time axis, without a segment, an event or a warning.
     **{f"a leap of the clock by {leap_s} s": leap(leap_s) for leap_s in (0.02, 0.4, 3.0)},
     "a leap within a frame": (
@@ -489,9 +489,7 @@ def test_a_signal_that_comes_when_the_recording_is_over_takes_no_result(tmp_path
     ("arguments", "code", "said"),
     [
         (["--port", "/dev/ttyNONE7"], 3, "/dev/ttyNONE7: no such port"),
-        (["--set", "friction.lew=3"], 2, "lew"),
         (["--rate", "0"], 2, "--rate"),
-        (["--duration", "-1"], 2, "--duration"),
         (["--port", "/dev/ttyS0", "--realtime"], 2, "--realtime"),
         (["--output", "nowhere/run.h5"], 2, "folder"),
     ],

@@ -24,7 +24,6 @@ TWO_EVENTS = {
 
 
 def datasets(file: Path) -> dict[str, bytes]:
-    """Return the bytes of every dataset of a file by its path."""
     found: dict[str, bytes] = {}
 
     def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:

@@ -78,7 +78,6 @@ def fit(entry: h5py.Group) -> None:
 
 
 def nxcheck(path: Path) -> tuple[int, int]:
-    """Return nxcheck's warnings and errors, by its command line."""
     tool = Path(sys.executable).parent / "nxcheck"
     done = subprocess.run([tool, path], capture_output=True, text=True, check=False)
     counts = {}
@@ -187,7 +186,6 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path: Path, data: Record
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Return the file of a run."""
     store.write(tmp_path / "run.h5", run())
     return tmp_path / "run.h5"
 

@@ -19,7 +19,6 @@ POSITION = "instrument/encoder/value_log/value"
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """Return a run file of 50 samples."""
     store.write(tmp_path / "run.h5", imported_run(50))
     return tmp_path / "run.h5"
 

@@ -56,7 +56,6 @@ def host(tmp_path_factory):
 
 
 def printed(program, folder, lines, pause=0):
-    """Return what a sketch printed, and its true counts."""
     truth = folder / "truth"
     done = subprocess.run([str(program), str(lines), str(truth), str(pause)], capture_output=True, check=True)
     return done.stdout, np.fromfile(truth, np.int32)
@@ -141,7 +140,6 @@ def test_the_words_of_the_pico_count_on_an_emulator():
 
 @pytest.fixture
 def micropython():
-    """Give the program of MicroPython's Unix port."""
     beside = Path(sys.executable).with_name("micropython")
     found = str(beside) if beside.exists() else shutil.which("micropython")
     need(found, "the Unix port of MicroPython is needed")

@@ -7,7 +7,6 @@ import string
 import tempfile
 import zipfile
 import zlib
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +18,18 @@ from daq.cli import settings
 from daq.imports import capture, replay, sigrok, table_to_run
 from daq.imports.options import ImportOptions, ProbeOptions
 from daq.runfile import listing, store
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import Raw
 from processing import smoothing, stage
 from rig_sim.scenes.scene import BUILTIN_FOLDER, parse_changes, scene
 from stickslip.units import Measured
 
-from ...daq.runfile.runs import RIG
-from ...daq.runfile.runs import run as recorded_run
 from .mutation import NUMBERS, bytewise, textual
 
+RIG = Rig("bench", "x4", Measured(7.67e-6, 1e-9), 16384, 16, Measured(0.3, 1e-3), Measured(10.5), Measured(0.0, 1e-4))
 AWKWARD = (0, -1, 1, 7, 2**31, 2**63 - 1, -(2**63), 1e300, -1e300, 1e-310, 1e12, float("nan"), float("inf"))
+ZONES = [f"2024-05-01T12:00:{second:02}+02:00" for second in (0, 1)]
 
 
 def damaged_toml(draw: random.Random, folder: Path) -> None:
@@ -53,11 +54,8 @@ def damaged_toml(draw: random.Random, folder: Path) -> None:
 @functools.cache
 def tomls() -> list[bytes]:
     board = b'[board]\nport = "/dev/ttyACM0"\nprotocol = "frames"\nrate = 1000\n'
-    return [
-        RIG.to_toml().encode() + board,
-        board,
-        *(path.read_bytes() for path in sorted(BUILTIN_FOLDER.glob("*.toml"))),
-    ]
+    scenes = [path.read_bytes() for path in sorted(BUILTIN_FOLDER.glob("*.toml"))]
+    return [RIG.to_toml().encode() + board, board, *scenes]
 
 
 def damaged_csv(draw: random.Random, folder: Path) -> None:
@@ -114,13 +112,8 @@ def mats() -> list[bytes]:
     table = {"t": time, "x": np.sin(time)}
     nested = np.empty((1, 2), object)
     nested[0, 0], nested[0, 1] = time, {"a": "text", "b": {"c": time[:3]}}
-    odd = {
-        "s": {"x": time, "name": "text"},
-        "c": nested,
-        "z": time * 1j,
-        "n": np.arange(9, dtype="i8"),
-        "e": np.zeros((0, 3)),
-    }
+    odd = {"s": {"x": time, "name": "text"}, "c": nested, "z": time * 1j}
+    odd |= {"n": np.arange(9, dtype="i8"), "e": np.zeros((0, 3))}
     made = []
     for content in (table, odd | {"w": "text", "m": np.eye(3)}):
         for options in ({}, {"do_compression": True}, {"oned_as": "column"}):
@@ -133,7 +126,7 @@ def mats() -> list[bytes]:
 
 
 def _recompressed(content: bytes) -> bytes:
-    """Return a MATLAB file of level 5 as one compressed variable."""
+    # of level 5, as one compressed variable
     packed = zlib.compress(content[128:])
     return content[:128] + (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed
 
@@ -161,7 +154,6 @@ def damaged_sr(draw: random.Random, folder: Path) -> None:
 
 @functools.cache
 def captures() -> list[bytes]:
-    """Return samples of two channels."""
     return [bytes(k // 3 % 4 for k in range(size)) for size in (0, 1, 300, 5000)]
 
 
@@ -214,8 +206,19 @@ def _use(draw: random.Random, path: Path) -> None:
 @functools.cache
 def runs() -> dict[str, tuple[bytes, list[int]]]:
     """Return run files, each with the places of its bytes outside of chunks: those are guarded by checksums."""
-    whole = recorded_run(300, event_sample=np.array([3, 7]), tags={"a": "b"}, operator="me", note="text")
-    plain = replace(whole, count=None, raw=None, clock_sample=np.empty(0, np.uint32), clock_offset=np.empty(0))
+    time = np.arange(300) / 1000
+    count = np.round(4000 * np.sin(9 * time)).astype(np.int64)
+    raw = Raw(
+        *(np.arange(300, dtype=np.uint32), (count & 0xFFFF).astype(np.uint16), np.zeros(300, np.uint16)),
+        *((time * 1e6).astype(np.uint32), np.zeros(300, np.uint8), np.zeros(300, np.uint16), np.zeros(300, np.uint16)),
+    )
+    plain = Recording("a track", *ZONES, rate_hz=1000.0, rig=RIG, time=time, position=count * 7.67e-6)
+    whole = Recording(
+        **vars(plain)
+        | {"count": count, "raw": raw, "operator": "me", "note": "text", "tags": {"a": "b"}}
+        | {"event_sample": np.array([3, 7], np.uint32), "event_kind": ("gap", "marker"), "event_note": ("", "here")}
+        | {"provenance": {"port": "x", "pid": 7}}
+    )
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, run in (("import", plain), ("record", whole)):

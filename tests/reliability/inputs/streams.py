@@ -44,13 +44,11 @@ def damaged_frames(draw: random.Random, folder: Path) -> None:
 
 
 def _half(draw: random.Random) -> list[bool]:
-    """Return which parts of a stream are damaged."""
     return draw.sample([False, True], 2 * TOGETHER, counts=[TOGETHER, TOGETHER])
 
 
 @functools.cache
 def payloads() -> tuple[list[bytes], ...]:
-    """Return identifications, other texts, samples, and the truth."""
     able = [Capability(0), Capability.LEVELS | Capability.ILLEGAL, *map(Capability, (0x7F, 0x3F, Capability.BELT))]
     idents = [
         Ident((0, 2, 0), "x4", each, bits, 1000, 8, 4000, 100_000, "rig") for each in able for bits in (16, 32, 2)
@@ -83,7 +81,6 @@ def damaged_text(draw: random.Random, folder: Path) -> None:
 
 
 def damaged_qsb(draw: random.Random, folder: Path) -> None:
-    """Try a stream of records of a QSB."""
     records: list[bytes] = []
     for k, damaged in enumerate(_half(draw)):
         record = draw.choice(
