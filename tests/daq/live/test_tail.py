@@ -11,7 +11,6 @@ from daq.finalise.run import run_data
 from daq.live.tail import JournalTail
 from daq.runfile import journal, journal_records
 from daq.runfile.recording import Recording
-from stickslip.errors import InputError
 
 from ...journals import write_journal
 
@@ -110,18 +109,3 @@ def test_a_stream_without_lines_is_not_kept(tmp_path: Path) -> None:
             file.write(b"".join(journal_records.pack(journal.RECEIVED, k, b"\xff" * 5000)))
         assert tail.poll() == []
     assert sum(len(data) for _, data in tail._reads) <= 1 << 15
-
-
-def test_a_journal_that_is_gone_and_what_is_no_journal(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such journal"):
-        JournalTail(tmp_path / "run.h5.part")
-    other = tmp_path / "other.h5.part"
-    other.write_bytes(b"something else" * 100)
-    with pytest.raises(InputError, match="is not a journal"):
-        JournalTail(other)
-    part = tmp_path / "text.h5.part"
-    text_journal(part)
-    tail = JournalTail(part)
-    part.unlink()
-    with pytest.raises(FileNotFoundError):
-        tail.poll()

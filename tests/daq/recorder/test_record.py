@@ -342,44 +342,29 @@ def test_neither_a_file_nor_the_journal_of_a_crashed_run_is_overwritten(tmp_path
     assert (tmp_path / name).read_bytes() == b"precious"
 
 
-def test_a_full_disk_keeps_the_journal_and_says_what_to_do(tmp_path, attach, monkeypatch):
-    attach(board())
-    monkeypatch.setattr(journal, "SYNC_EVERY_S", 0.0)
-    calls = []
+def test_a_disk_that_is_full_meanwhile_keeps_the_journal_and_says_what_to_do(tmp_path, take, monkeypatch):
+    left = iter(range(5))
 
-    def full(writer):
-        calls.append(1)
-        if len(calls) > 5:
+    def sync(writer):
+        if next(left, None) is None:
             raise OSError(errno.ENOSPC, "No space left on device")
         writer._file.flush()
 
-    monkeypatch.setattr(journal.Writer, "sync", full)
+    monkeypatch.setattr(journal, "SYNC_EVERY_S", 0.0)
+    monkeypatch.setattr(journal.Writer, "sync", sync)
     with pytest.raises(DeviceError, match=r"disk is full.*daq recover .*run\.h5\.part"):
-        record(request(tmp_path))
-    monkeypatch.undo()
+        take(board())
     assert journal.read(tmp_path / "run.h5.part").records
     assert not (tmp_path / "run.h5").exists()
 
 
-def test_a_stop_keeps_what_came(tmp_path, attach):
-    attach(board())
-    stop = threading.Event()
-
-    def progress(seconds):
-        if seconds > 0.5:
-            stop.set()
-
-    found = record(request(tmp_path, 100_000), stop=stop, progress=progress)
-    assert 500 <= found.samples < 100_000
-    assert found.lost == 0
-    assert daq.load(tmp_path / "run.h5").count.size == found.samples
-
-
-def test_a_file_beside_the_journal_ends_the_recording_as_the_first_ctrl_c_does(tmp_path, attach):
+@pytest.mark.parametrize("by", ["file", "event"])
+def test_a_stop_or_a_file_beside_the_journal_ends_the_recording_as_the_first_ctrl_c_does(tmp_path, attach, by):
     attach(board(paced=True))
-    asked = tmp_path / "run.h5.stop"
+    asked, stop = tmp_path / "run.h5.stop", threading.Event()
     asked.touch()  # one that an earlier recording of this name has left ends nothing
-    found = record(request(tmp_path, 600_000), progress=lambda seconds: seconds > 0.2 and asked.touch())
+    ask = asked.touch if by == "file" else stop.set
+    found = record(request(tmp_path, 600_000), stop=stop, progress=lambda seconds: seconds > 0.2 and ask())
     assert (found.ended, found.lost, found.short) == (journal.STOPPED, 0, False)
     assert 0.2 < found.duration_s < 60.0
     assert daq.load(tmp_path / "run.h5").time.size == found.samples

@@ -1,6 +1,5 @@
 """The wire: what is sent is what is read, garbage is survived, and docs/reference/wire.md says the truth."""
 
-import random
 import re
 from pathlib import Path
 
@@ -93,7 +92,7 @@ def test_a_sample_of_an_undeclared_length_is_counted_not_misread(block):
 
 
 @given(st.binary(max_size=400))
-def test_garbage_never_raises_and_never_costs_more_than_the_frame_it_touches(garbage):
+def test_garbage_never_raises_and_the_second_frame_after_it_is_read(garbage):
     good = wire.encode_notice("still here")
     reader = FrameReader()
     reader.feed(garbage)
@@ -113,28 +112,6 @@ def test_a_changed_byte_never_passes_for_a_sample(block, place, change):
     assert not any(isinstance(frame, SampleBlock) and frame != block for frame in got)
     assert got[0] == Notice("before")
     assert got[-1] == Notice("after")
-
-
-def test_a_million_corrupted_bytes_are_survived_and_resynchronised_within_two_frames():
-    draw = random.Random(5)
-    blocks_sent = [
-        SampleBlock(8 * k & 0xFFFF, 8000 * k, 0, (0, *[1000] * 7), (k & 0xFFFF,) * 8, (0,) * 8, (1,) * 8)
-        for k in range(14_100)
-    ]
-    stream = bytearray(b"".join(map(wire.encode_samples, blocks_sent)))
-    for at in range(0, len(stream), 500):
-        if draw.random() < 0.5:
-            length = draw.randrange(1, 100)
-            stream[at : at + length] = draw.randbytes(len(stream[at : at + length]))
-    reader = FrameReader()
-    got = reader.feed(bytes(stream))
-    assert len(stream) > 1_000_000
-    assert reader.crc_errors > 1000
-    sent = set(blocks_sent)
-    # 2^-16 of some thousand damaged lines may pass the CRC by chance: at most a frame or two.
-    assert sum(frame not in sent for frame in got) <= 1
-    clean = wire.encode_notice("clean")
-    assert Notice("clean") in reader.feed(clean + clean)
 
 
 def test_an_endless_line_is_thrown_away_and_held_in_no_memory():
