@@ -12,7 +12,7 @@ from daq.recorder import reader
 from daq.recorder.record import RecordingInterruptedError, record
 from daq.runfile import journal
 
-from .conftest import AWAY_S, FakeLabelled, FakeUpForLong, motion
+from ..boards import AWAY_S, FakeLabelled, FakeUpForLong, motion
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 

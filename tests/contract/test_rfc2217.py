@@ -16,7 +16,7 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 
-from .conftest import FakeFrames, motion
+from ..boards import FakeFrames, motion
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX"),

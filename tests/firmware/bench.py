@@ -115,7 +115,6 @@ class Taken:
 
     @property
     def error(self):
-        """Count error of each sample, counts."""
         return self.net - self.true
 
 
@@ -162,7 +161,6 @@ class Board:
         return log[:, 0], self.edges.count[np.maximum(log[:, 1] - 1, 0)]
 
     def stop(self):
-        """Switch the board off and return the emulator's report."""
         if self._process.poll() is None:
             out, _ = self._process.communicate(timeout=600)
             self.report = json.loads(out)
@@ -187,7 +185,6 @@ def ask(port, line, expect):
 
 
 def record(board, rate_hz, samples, *, baud=115_200, block=8, mode=None):
-    """Record so many samples as the host does; return them as `Taken`."""
     with serial.Serial(board.port, baud, timeout=0.05) as port:
         ask(port, b"\nX\nI\n", lambda heard: b"stickslip" in heard)
         time.sleep(0.05)
@@ -213,7 +210,6 @@ def record(board, rate_hz, samples, *, baud=115_200, block=8, mode=None):
 
 
 def taken(stream, board, report):
-    """Return what a board has sent, unwrapped, with the truth beside it."""
     within = np.arange(len(stream.up)) - np.repeat(stream.first, stream.n)
     frame = np.repeat(np.arange(len(stream.n)), stream.n)
     ahead = np.cumsum(stream.dt.astype(np.int64))

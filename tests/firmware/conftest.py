@@ -1,35 +1,21 @@
 """The tools of these tests, and what they make: the firmware built anew, the emulator, the bench around both."""
 
-import importlib.util
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from ..conftest import need
+from . import bench
 
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[1] / "firmware"
 COMPILER = "5.4.0"  # of the committed .hex files; another one makes other bytes
 
-# The module beside this file is loaded by its path.
-_spec = importlib.util.spec_from_file_location("firmware_bench", HERE / "bench.py")
-_bench = importlib.util.module_from_spec(_spec)
-sys.modules["firmware_bench"] = _bench
-_spec.loader.exec_module(_bench)
-
-
-@pytest.fixture(scope="session")
-def bench():
-    """Give the bench's module."""
-    return _bench
-
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory):
-    """Give the folder of a fresh build."""
     need(shutil.which("avr-gcc") and Path("/usr/lib/avr/include/avr/io.h").is_file(), "avr-gcc and avr-libc are needed")
     version = subprocess.run(["avr-gcc", "-dumpversion"], capture_output=True, text=True, check=True).stdout.strip()
     need(version == COMPILER, f"this is avr-gcc {version}; the committed .hex are built with {COMPILER}")
@@ -52,7 +38,6 @@ def latch_address(built):
 
 @pytest.fixture(scope="session")
 def emulator(tmp_path_factory):
-    """Give the emulator, compiled."""
     need(Path("/usr/include/simavr/sim_avr.h").is_file(), "libsimavr-dev is needed")
     need(shutil.which("gcc"), "gcc is needed")
     program = tmp_path_factory.mktemp("emulator") / "emulator"
@@ -62,7 +47,7 @@ def emulator(tmp_path_factory):
 
 
 @pytest.fixture
-def switch_on(emulator, latch_address, bench, tmp_path):
+def switch_on(emulator, latch_address, tmp_path):
     """Give a function that returns a board in the emulator, with the firmware as committed; a context manager."""
 
     def on(kind="uno", **more):

@@ -16,10 +16,12 @@ from daq.wire import frames as wire
 from daq.wire.frames import Ident, Notice, SampleBlock
 from rig_sim.scenes.scene import scene
 
+from . import bench
+
 BAUDS = (115_200, 250_000, 500_000, 1_000_000)
 
 
-def test_it_identifies_itself_at_power_up(bench, switch_on):
+def test_it_identifies_itself_at_power_up(switch_on):
     with switch_on("uno", speed=1) as board:
         line = os.open(board.port, os.O_RDONLY | os.O_NOCTTY)  # pyserial would throw away what has come already
         time.sleep(0.3)
@@ -32,22 +34,16 @@ def test_it_identifies_itself_at_power_up(bench, switch_on):
     assert ".".join(map(str, frames[0].firmware)) == firmware_files.VERSION
 
 
-def test_what_it_cannot_do_it_refuses_in_words_and_changes_nothing(bench, switch_on):
-    refused = {
-        "R 0": "1 to 5000 Hz",
-        "R 5001": "1 to 5000 Hz",
-        "R 99999999999": "1 to 5000 Hz",
-        "R 10.5": "1 to 5000 Hz",
-        "R ": "is no command",
-        "B 0": "1 to 16",
-        "B 17": "1 to 16",
-        "M jk": "no such decoder",
-        "hello": "is no command",
-        "II": "is no command",
-        "x" * 200: "is no command",
-    }
+def test_it_says_which_decoder_it_runs_and_refuses_in_words_what_it_cannot_do_and_changes_nothing(switch_on):
+    refused = dict.fromkeys(("R 0", "R 5001", "R 99999999999", "R 10.5"), "1 to 5000 Hz")
+    refused |= dict.fromkeys(("B 0", "B 17"), "1 to 16") | {"M jk": "no such decoder"}
+    refused |= dict.fromkeys(("R ", "hello", "II", "x" * 200), "is no command")
     with switch_on("uno") as board, bench.Host(board) as host:
-        before = host.say("I", until=Ident)[-1]
+        other = host.say("M two-counter", "I")[-1]
+        assert (other.decoder, other.capabilities) == ("two-counter", 1)
+        before = host.say("M x4", "I")[-1]
+        assert (before.decoder, before.tick_ns, before.counter_bits, before.max_rate_hz) == ("x4", 500, 16, 5000)
+        assert before.capabilities == 7
         for command, words in refused.items():
             notice, after = host.say(command, "I", wait=5.0, until=Ident)
             assert isinstance(notice, Notice), command
@@ -56,7 +52,7 @@ def test_what_it_cannot_do_it_refuses_in_words_and_changes_nothing(bench, switch
             assert after == before, command
 
 
-def test_settings_are_refused_while_it_samples_and_kept_between_starts(bench, switch_on):
+def test_settings_are_refused_while_it_samples_and_kept_between_starts(switch_on):
     with switch_on("mega", speed=2) as board, bench.Host(board) as host:
         assert host.say("R 500", "B 3") == []
         assert host.say("I")[-1].block_size == 3
@@ -73,7 +69,7 @@ def test_settings_are_refused_while_it_samples_and_kept_between_starts(bench, sw
         assert again[0].time > blocks[-1].time
 
 
-def test_a_rate_too_slow_for_blocks_is_refused_and_single_frames_are_not(bench, switch_on):
+def test_a_rate_too_slow_for_blocks_is_refused_and_single_frames_are_not(switch_on):
     with switch_on("uno") as board, bench.Host(board) as host:
         assert host.say("R 30", "B 8") == []
         assert "single frames" in host.say("S", until=Notice)[0].text
@@ -84,7 +80,7 @@ def test_a_rate_too_slow_for_blocks_is_refused_and_single_frames_are_not(bench, 
     np.testing.assert_allclose(np.diff(taken.ticks.astype(np.int64)), 2e6 / 3, rtol=0, atol=16)
 
 
-def test_it_finds_the_rate_of_its_host(bench, switch_on):
+def test_it_finds_the_rate_of_its_host(switch_on):
     """From each rate to each other one, on one board: a walk through all pairs."""
     slow, middle, fast, fastest = BAUDS
     walk = [slow, middle, slow, fast, slow, fastest, middle, fast, middle, fastest, fast, fastest, slow]
@@ -97,7 +93,7 @@ def test_it_finds_the_rate_of_its_host(bench, switch_on):
     assert report["baud"] == pytest.approx(walk[-1], rel=0.025)
 
 
-def test_a_board_that_still_samples_at_another_rate_is_found_again(bench, switch_on):
+def test_a_board_that_still_samples_at_another_rate_is_found_again(switch_on):
     with switch_on("uno", speed=1) as board:
         with serial.Serial(board.port, 1_000_000, timeout=0.05) as port:
             bench.ask(port, b"I\n", lambda heard: b"stickslip" in heard)
@@ -107,7 +103,7 @@ def test_a_board_that_still_samples_at_another_rate_is_found_again(bench, switch
             assert [frame.name for frame in host.say("I")] == ["stickslip uno"]
 
 
-def test_a_main_loop_that_hangs_is_restarted_by_the_watchdog(bench, switch_on):
+def test_a_main_loop_that_hangs_is_restarted_by_the_watchdog(switch_on):
     with switch_on("uno", speed=4, hang=0.5) as board, bench.Host(board) as host:
         said = host.say("R 1000", "S", wait=8, until=Ident, broken=1)  # the reset may cut a frame short
     kinds = [type(frame) for frame in said]
@@ -117,7 +113,7 @@ def test_a_main_loop_that_hangs_is_restarted_by_the_watchdog(bench, switch_on):
     assert board.report["resets"] == 1
 
 
-def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(bench, switch_on, tmp_path):
+def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(switch_on, tmp_path):
     with switch_on("uno", speed=1, hang=0.6) as board:
         found = record(RecordRequest(port=board.port, output=tmp_path / "run.h5", duration_s=2.6))
     assert found.segments == 2
@@ -130,7 +126,7 @@ def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(bench, swi
     assert 0.5 < gap < 1.5  # the watchdog's second, less what it had waited before
 
 
-def test_what_came_at_another_rate_is_no_damage_of_the_recording(bench, switch_on, tmp_path):
+def test_what_came_at_another_rate_is_no_damage_of_the_recording(switch_on, tmp_path):
     # It used to open the journal: "damaged frames were thrown away", in each recording at 1 Mbaud.
     with switch_on("uno", speed=1) as board:
         with bench.Host(board, 115_200) as host:
@@ -150,7 +146,7 @@ def test_what_came_at_another_rate_is_no_damage_of_the_recording(bench, switch_o
         ),
     ],
 )
-def test_what_a_line_carries_it_carries_under_load(bench, switch_on, baud, rate, block):
+def test_what_a_line_carries_it_carries_under_load(switch_on, baud, rate, block):
     edges = bench.of_motion(scene("rig"), 2.5, jitter=0.2)  # 100,000 edges/s in its slips
     with switch_on("uno", edges=edges) as board:
         taken = bench.record(board, rate, round(2.4 * rate), baud=baud, block=block)
@@ -159,7 +155,7 @@ def test_what_a_line_carries_it_carries_under_load(bench, switch_on, baud, rate,
     assert edges.peak_rate(50) > 90_000
 
 
-def test_a_line_too_slow_loses_samples_and_says_so(bench, switch_on):
+def test_a_line_too_slow_loses_samples_and_says_so(switch_on):
     with switch_on("uno") as board:
         taken = bench.record(board, 5000, 1000, baud=115_200)
     lost = np.diff(taken.seq) - 1

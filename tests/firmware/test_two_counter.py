@@ -9,6 +9,8 @@ import pytest
 
 from daq.runfile.store import load
 
+from . import bench
+
 PULSE_HZ = 1_000_000
 IN_FLIGHT = 4  # pulses that may come between the entry of a latch and its reading of a counter, 30 cycles later
 
@@ -19,7 +21,7 @@ def bursts(rng, start, pulses, spacing=16):
 
 
 @pytest.mark.parametrize("kind", ["uno", "mega"])
-def test_both_counters_are_exact_at_a_million_pulses_a_second(bench, switch_on, kind):
+def test_both_counters_are_exact_at_a_million_pulses_a_second(switch_on, kind):
     rng = np.random.default_rng(7)
     up = bursts(rng, 40_000, 900_001)
     down = bursts(rng, 100_007, 700_003)  # overlapping, and not in step
@@ -40,7 +42,7 @@ def test_both_counters_are_exact_at_a_million_pulses_a_second(bench, switch_on, 
 
 
 @pytest.mark.parametrize("offset", [0, 3])
-def test_the_upper_byte_of_the_down_counter_is_never_torn(bench, switch_on, offset):
+def test_the_upper_byte_of_the_down_counter_is_never_torn(switch_on, offset):
     # Timer 0 overflows around every sample, at another cycle each time: a torn reading is off by 256.
     period = 16_000
     samples = 1500
@@ -61,7 +63,7 @@ def test_the_upper_byte_of_the_down_counter_is_never_torn(bench, switch_on, offs
     assert np.count_nonzero(np.diff(taken.stream.down >> 8)) > 0.9 * (samples - 20)
 
 
-def test_a_run_behind_a_jk_box_is_recorded_by_the_command(bench, switch_on, tmp_path):
+def test_a_run_behind_a_jk_box_is_recorded_by_the_command(switch_on, tmp_path):
     rng = np.random.default_rng(11)
     up, down = bursts(rng, 100_000, 20_000, 800), bursts(rng, 8_000_000, 15_000, 800)
     edges = bench.of_pulses(up, down, width=8)
@@ -77,14 +79,3 @@ def test_a_run_behind_a_jk_box_is_recorded_by_the_command(bench, switch_on, tmp_
     assert run.count[0] == 0
     assert run.count.max() > 8_000
     assert run.count[-1] == len(up) - len(down)
-
-
-def test_the_board_says_which_decoder_it_runs(bench, switch_on):
-    with switch_on("uno") as board, bench.Host(board) as host:
-        ident = host.say("I")[-1]
-        assert (ident.decoder, ident.tick_ns, ident.counter_bits, ident.max_rate_hz) == ("x4", 500, 16, 5000)
-        assert ident.capabilities == 7
-        ident = host.say("M two-counter", "I")[-1]
-        assert (ident.decoder, ident.capabilities) == ("two-counter", 1)
-        ident = host.say("M x4", "I")[-1]
-        assert (ident.decoder, ident.capabilities) == ("x4", 7)

@@ -10,11 +10,13 @@ from daq.wire.frames import LEVELS, OVERRUN
 from daq.wire.quadrature import PHASE
 from rig_sim.scenes.scene import scene
 
+from . import bench
+
 CYCLES_PER_US = 16
 LONGEST_INTERRUPT = {"uno": 50, "mega": 52}  # cycles with interrupts off, entry included: the latch
 
 
-def rig(bench, edges_per_s, seconds, jitter=0.2, **changes):
+def rig(edges_per_s, seconds, jitter=0.2, **changes):
     """Return the edges of the scene `rig`, its encoder's lines changed so that the fastest slip makes so many."""
     plain = bench.of_motion(scene("rig", **changes), seconds)
     lines = round(scene("rig").encoder.lines_per_rev * edges_per_s / plain.peak_rate(50))
@@ -24,7 +26,7 @@ def rig(bench, edges_per_s, seconds, jitter=0.2, **changes):
     return edges
 
 
-def ramp(bench, rates_hz, steps_each, jitter=0.2, seed=1):
+def ramp(rates_hz, steps_each, jitter=0.2, seed=1):
     """Return edges upwards, so many at each rate, one rate after the other, off their places by ``jitter``."""
     spacing = np.repeat([16e6 / rate for rate in rates_hz], steps_each)
     cycle = 60_000 + np.cumsum(spacing)
@@ -41,8 +43,8 @@ def ramp(bench, rates_hz, steps_each, jitter=0.2, seed=1):
         pytest.param("mega", 100_000, 1000, 115_200, 5, marks=pytest.mark.slow),
     ],
 )
-def test_every_sample_of_the_rig_is_there_and_right(bench, switch_on, kind, peak, rate, baud, seconds):
-    edges = rig(bench, peak, seconds)
+def test_every_sample_of_the_rig_is_there_and_right(switch_on, kind, peak, rate, baud, seconds):
+    edges = rig(peak, seconds)
     samples = round((seconds - 0.05) * rate)
     with switch_on(kind, edges=edges) as board:
         taken = bench.record(board, rate, samples, baud=baud)
@@ -67,10 +69,8 @@ def test_every_sample_of_the_rig_is_there_and_right(bench, switch_on, kind, peak
         ),
     ],
 )
-def test_sample_times_are_true_to_a_tick_and_spread_by_less_than_the_longest_interrupt(
-    bench, switch_on, kind, rate, baud
-):
-    edges = rig(bench, 150_000, 3)
+def test_sample_times_are_true_to_a_tick_and_spread_by_less_than_the_longest_interrupt(switch_on, kind, rate, baud):
+    edges = rig(150_000, 3)
     with switch_on(kind, edges=edges) as board:
         taken = bench.record(board, rate, round(2.9 * rate), baud=baud)
     recorded = taken.ticks * bench.CYCLES_PER_TICK
@@ -87,7 +87,7 @@ def test_sample_times_are_true_to_a_tick_and_spread_by_less_than_the_longest_int
     assert np.ptp(late) <= named["latch"]  # on the Mega it used to be 55 cycles beside 53
 
 
-def test_no_latch_is_ever_torn(bench, switch_on):
+def test_no_latch_is_ever_torn(switch_on):
     # 256 edges between two samples, so that the low byte of the up counter carries at each of them, a cycle earlier
     # relative to the sample each time: 400 cycles before it to 400 after, since the first sample's cycle differs a
     # little from start to start.  A torn read is off by 256.
@@ -117,7 +117,7 @@ def test_no_latch_is_ever_torn(bench, switch_on):
 
 
 @pytest.mark.parametrize(("kind", "cycles"), [("uno", 62), ("mega", 64)])
-def test_two_edges_so_close_are_always_told_apart(bench, switch_on, kind, cycles):
+def test_two_edges_so_close_are_always_told_apart(switch_on, kind, cycles):
     rng = np.random.default_rng(cycles)
     start = 20_000 + np.cumsum(rng.integers(300, 500, 60_000))
     cycle = np.stack((start, start + cycles), axis=1).ravel()
@@ -131,8 +131,8 @@ def test_two_edges_so_close_are_always_told_apart(bench, switch_on, kind, cycles
     assert between.sum() > 500
 
 
-def test_beyond_its_speed_the_error_is_twice_the_illegal_count(bench, switch_on):
-    edges = ramp(bench, [150_000, 250_000, 300_000, 350_000, 100_000], 40_000)
+def test_beyond_its_speed_the_error_is_twice_the_illegal_count(switch_on):
+    edges = ramp([150_000, 250_000, 300_000, 350_000, 100_000], 40_000)
     with switch_on("uno", edges=edges) as board:
         taken = bench.record(board, 1000, 1200, block=1, baud=1_000_000)
     assert taken.illegal[-1] > 50
@@ -142,8 +142,8 @@ def test_beyond_its_speed_the_error_is_twice_the_illegal_count(bench, switch_on)
 
 
 @pytest.mark.slow
-def test_every_wrong_sample_of_an_overloaded_run_is_flagged(bench, switch_on, tmp_path):
-    edges = rig(bench, 400_000, 4.0)
+def test_every_wrong_sample_of_an_overloaded_run_is_flagged(switch_on, tmp_path):
+    edges = rig(400_000, 4.0)
     with switch_on("uno", edges=edges, speed=4) as board:
         found = record(RecordRequest(port=board.port, output=tmp_path / "run.h5", duration_s=3.8))
         board.stop()
@@ -157,7 +157,7 @@ def test_every_wrong_sample_of_an_overloaded_run_is_flagged(bench, switch_on, tm
     assert any("illegal transitions" in warning for warning in found.warnings)
 
 
-def test_an_encoder_that_is_powered_after_the_board_starts_in_phase(bench, switch_on):
+def test_an_encoder_that_is_powered_after_the_board_starts_in_phase(switch_on):
     # Both pins rise or fall at once: an illegal transition before the start, which must not haunt the run.
     cycle = np.array([0, 30_000, 60_000, 90_000])
     edges = bench.Edges(cycle, np.array([0, 1, 3, 2]), np.arange(4))

@@ -42,17 +42,14 @@ FILES = {
 
 
 def bad_streams(size: Size, folder: Path) -> list[Result]:
-    """Try ``size.amount`` damaged pieces of streams, of every protocol and of journals."""
     return [_tried(name, size, folder) for name in STREAMS]
 
 
 def bad_files(size: Size, folder: Path) -> list[Result]:
-    """Try ``size.amount`` damaged files and texts of every kind."""
     return [_tried(name, size, folder) for name in FILES]
 
 
 def again(name: str, number: int, seed: int = 1) -> None:
-    """Try one input again in this process."""
     with tempfile.TemporaryDirectory() as folder:
         _one(name, seed, number, Path(folder))
 

@@ -13,6 +13,7 @@ from daq.protocols import session
 from daq.runfile import journal, journal_records
 from daq.wire import frames
 
+from ..journals import HEADER
 from .result import Result, Size
 
 PERIOD_US = 1000
@@ -36,40 +37,34 @@ def clocks(size: Size, folder: Path) -> list[Result]:
     wrapped, tried = _wrap_everywhere(size, folder)
     dated, dates = _dates(folder, ZONES_MINUTES[size.full])
     jumped, jumps = _jumps(folder)
-    rows = (
-        (
+    return [
+        _row(
             "a counter that wraps, wherever in a frame or in the file, changes no time and no count",
             f"{', '.join(f'{name} ({bits} bit)' for name, (bits, _) in WRAPS.items())}: before each of {size.amount} "
             f"samples, in frames of {BLOCKS[0]} and {BLOCKS[1]}",
             f"{tried} wraps",
             wrapped,
         ),
-        (
+        _row(
             "start and end of a run are right in every time zone, at the ends of days and years, and in leap years",
             f"{len(DATES)} moments in the zones from -12 to +14 hours, every {ZONES_MINUTES[size.full]} minutes",
             f"{dates} runs",
             dated,
         ),
-        (
+        _row(
             "a host's clock that jumps changes no sample time and no count",
             f"stamps that jump by {', '.join(f'{jump:g}' for jump in JUMPS_S)} s in the middle of a run",
             f"{jumps} runs",
             jumped,
         ),
-    )
-    return [
-        Result(
-            promise,
-            what,
-            f"{number}, {len(faults)} wrong",
-            tuple(faults),
-        )
-        for promise, what, number, faults in rows
     ]
 
 
+def _row(promise: str, tried: str, number: str, faults: list[str]) -> Result:
+    return Result(promise, tried, f"{number}, {len(faults)} wrong", tuple(faults))
+
+
 def _board(samples: int, block: int, starts: dict[str, int]) -> Iterator[bytes]:
-    """Yield the frames of a board whose counters start somewhere."""
     has = frames.Capability
     capabilities = has.BLOCKS | has.LEVELS | has.BELT
     yield frames.encode_ident(frames.Ident((1, 0, 0), "x4", capabilities, 16, 1000, block, 10_000, 10**7, "clocks"))
@@ -84,9 +79,7 @@ def _board(samples: int, block: int, starts: dict[str, int]) -> Iterator[bytes]:
 
 def _journal(path: Path, sent: list[bytes], stamps: NDArray[np.int64], **header: object) -> journal.Journal:
     """Return the journal of a recording; each of what was sent came in a read of its own."""
-    known = {"protocol": "frames", "rate_hz": 1e6 / PERIOD_US, "samples": None, "port": "x", "title": "x"}
-    known |= {"operator": "", "warnings": [], "provenance": {}}
-    known |= {"wall_ns": int(START.timestamp()) * NS, "monotonic_ns": 0, "utc_offset_s": 0}
+    known = HEADER | {"protocol": "frames", "rate_hz": 1e6 / PERIOD_US, "wall_ns": int(START.timestamp()) * NS}
     config = "[encoder]\nbelt_metres_per_count = 1.0\n"
     records = [(journal.HEADER, 0, json.dumps(known | header).encode()), (journal.CONFIGURATION, 0, config.encode())]
     records += [(journal.RECEIVED, stamp, data) for stamp, data in zip(stamps.tolist(), sent, strict=True)]
@@ -95,7 +88,6 @@ def _journal(path: Path, sent: list[bytes], stamps: NDArray[np.int64], **header:
 
 
 def _stamps(sent: list[bytes], block: int) -> NDArray[np.int64]:
-    """Return when each frame came: with its last sample."""
     return np.arange(len(sent), dtype=np.int64) * block * PERIOD_US * 1000
 
 
@@ -113,7 +105,6 @@ def _wrong(recorded: journal.Journal, samples: int) -> str:
 
 
 def _wrap_everywhere(size: Size, folder: Path) -> tuple[list[str], int]:
-    """Return the faults of wraps before each sample, and how many were tried."""
     faults, tried, whole = [], 0, session.PIECE_BYTES
     for block in BLOCKS:
         for name, (bits, rise) in WRAPS.items():
@@ -132,7 +123,6 @@ def _wrap_everywhere(size: Size, folder: Path) -> tuple[list[str], int]:
 
 
 def _dates(folder: Path, minutes_apart: int) -> tuple[list[str], int]:
-    """Return the faults of dates, and how many were tried."""
     faults, tried, samples = [], 0, 304
     sent = list(_board(samples, 8, {}))
     for date in DATES:
@@ -159,7 +149,6 @@ def _dates(folder: Path, minutes_apart: int) -> tuple[list[str], int]:
 
 
 def _jumps(folder: Path) -> tuple[list[str], int]:
-    """Return the faults of jumps of the host's clock, and how many were tried."""
     faults, samples = [], 8000
     sent = list(_board(samples, 8, {}))
     for jump in JUMPS_S:

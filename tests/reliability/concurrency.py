@@ -11,7 +11,7 @@ import daq
 from processing import stage
 from stickslip.errors import EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, InputError
 
-from ..contract.conftest import FakeFrames, motion
+from ..boards import FakeFrames, motion
 from . import tasks
 from .forked import Ended, Fork, Server
 from .result import Result, Size
@@ -79,7 +79,6 @@ class Rounds:
         self.refused = self.made = self.kept = self.read = self.not_stored = 0
 
     def one_output(self, k: int) -> list[str]:
-        """Record into one file several times at once; return the faults."""
         place = self._place(f"output{k}")
         line = ["daq", "record", "--duration", "2", "-o", "run.h5"]
         ended = self._together([line] * RECORDERS, place)
@@ -93,7 +92,6 @@ class Rounds:
         return [] if samples == tasks.SAMPLES else [f"{where}: {samples} samples"]
 
     def one_port(self, k: int) -> list[str]:
-        """Record from one port twice at once; return the faults."""
         place = self._place(f"port{k}")
         with FakeFrames(place / "tty", paced=True) as board:
             line = ["daq", "record", "--port", str(board.path), "--duration", LINE_S, "-o"]
@@ -106,7 +104,6 @@ class Rounds:
         return [f"2 recorders on one port, round {k}: {what}" for what in _incomplete(runs[0])]
 
     def unfinished(self) -> list[str]:
-        """Use a run that is being recorded; return the faults."""
         place = self._place("unfinished")
         found = []
         with FakeFrames(place / "tty", paced=True) as board:
@@ -126,7 +123,6 @@ class Rounds:
         return found
 
     def writers(self, k: int) -> list[str]:
-        """Change one run by several commands at once, and read it meanwhile; return the faults."""
         place, where = self._place(f"writers{k}"), f"writers of one run, round {k}"
         run = place / "run.h5"
         run.write_bytes((self._sources / "run.h5").read_bytes())
@@ -155,7 +151,6 @@ class Rounds:
         return found
 
     def fit_and_smooth(self, k: int) -> list[str]:
-        """Smooth a run anew while it is fitted; return the faults."""
         place, where = self._place(f"stages{k}"), f"a fit beside a smoothing, round {k}"
         run = place / "run.h5"
         run.write_bytes((self._sources / "warm.h5").read_bytes())

@@ -32,14 +32,12 @@ def full_size(pytestconfig):
 
 @pytest.fixture(scope="session")
 def server(tmp_path_factory):
-    """Start what forks commands."""
     with Server(tmp_path_factory.mktemp("server")) as started:
         yield started
 
 
 @pytest.fixture(scope="session")
 def sources(server, tmp_path_factory):
-    """Make the files from which the commands of `tasks` start."""
     return tasks.prepare(server, tmp_path_factory.mktemp("commands") / "sources")
 
 
@@ -65,7 +63,6 @@ def pytest_configure(config):
 
 
 def processor():
-    """Return the processor's name, as the system gives it."""
     listing = Path("/proc/cpuinfo")
     lines = listing.read_text().splitlines() if listing.exists() else []
     named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

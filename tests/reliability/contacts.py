@@ -67,17 +67,14 @@ class Outcome:
 
     @property
     def law(self) -> int | None:
-        """The law that it is, if it is one of the six."""
         return scales.LAWS.get(self.kind)
 
     @property
     def right(self) -> bool:
-        """Whether its law is in the set, and describes the record."""
         return self.law in self.named and self.adequacy == "adequate"
 
     @property
     def counted(self) -> bool:
-        """Whether the record holds enough for its law to be found."""
         return self.truth.samples_per_slip >= ENOUGH_SAMPLES and self.truth.cycles >= ENOUGH_CYCLES
 
     def __str__(self) -> str:
@@ -89,7 +86,6 @@ class Outcome:
 
 
 def contacts(size: Size, folder: Path, server: Server) -> list[Result]:
-    """Import and fit ``size.amount`` contacts; the short size takes those with short tables."""
     log = LOG if size.full else folder / LOG.name
     log.parent.mkdir(parents=True, exist_ok=True)
     found = []
@@ -128,7 +124,7 @@ def _tried(server: Server, number: int, folder: Path) -> Outcome:
     truth = scales.write_table(drawn, folder / "t.csv")
     broken: list[str] = []
     for line in scales.commands(drawn, "t.csv", "t.h5"):
-        done = server.run(line, folder, hangs_s=HANGS_S)
+        done = server.run(line, folder, hangs_s=HANGS_S, all_laws=True)
         broken += _broken(done)
         if done.code != EXIT_DONE:
             break
@@ -156,7 +152,6 @@ def _tried(server: Server, number: int, folder: Path) -> Outcome:
 
 
 def _broken(done: Ended) -> list[str]:
-    """Return what no command may do."""
     found = []
     if done.hung or done.cpu_s > LONGEST_S:
         found.append(f"{done.cpu_s:.0f} s of CPU time")

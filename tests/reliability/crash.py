@@ -8,7 +8,7 @@ import numpy as np
 
 import daq
 
-from ..contract.conftest import FakeFrames
+from ..boards import FakeFrames
 from . import tasks
 from .forked import KILL, WRITE, Server
 from .result import Result, Size
@@ -21,7 +21,7 @@ RECORDS = 20  # share of the kill points that are recordings in real time: one i
 
 def crash(size: Size, folder: Path, server: Server, sources: Path) -> list[Result]:
     """Kill every command of `TASKS` at up to ``size.amount`` of its calls, and recordings of a paced board."""
-    found = {name: _kill_at_calls(server, name, sources, folder / name, size.amount) for name in TASKS}
+    found = {name: _kill_at_calls(tasks.Trials(server, sources, folder / name), name, size.amount) for name in TASKS}
     lost_s, synced_s, kill_faults = _kill_recordings(server, folder / "paced", size)
     points = sum(tried for tried, _, _ in found.values())
     calls = sum(calls for _, calls, _ in found.values())
@@ -53,10 +53,9 @@ def chosen(calls: tuple[int, ...], amount: int) -> list[int]:
     return sorted(others + tasks.spread(writes, max(amount - len(others), amount // 3)))
 
 
-def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amount: int) -> tuple[int, int, list[str]]:
+def _kill_at_calls(trials: tasks.Trials, name: str, amount: int) -> tuple[int, int, list[str]]:
     """Return how many kill points were tried, how many calls there are, and the faults."""
-    task = TASKS[name]
-    known = tasks.undisturbed(server, task, sources, folder)
+    task, known = TASKS[name], trials.known(name)
     whole, left = known.ended, sorted(known.after)
     faults = []
     if (whole.code, left) != (task.ends, sorted(task.leaves)):
@@ -64,16 +63,11 @@ def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amoun
     points = chosen(whole.calls, amount)
     recovered = 0
     for at in points:
-        task.begin(sources, folder)
-        killed = server.run(list(task.line), folder, at=at, action=KILL)
-        where = f"{' '.join(task.line)}, killed before call {at} ({killed.name})"
-        if killed.code != -signal.SIGKILL:
-            faults.append(f"{where}: ended with {killed.code}: {killed.err}")
-        found, samples = tasks.aftermath(server, task, folder, known, where)
+        found, samples = trials.disturb(name, at, "killed before", -signal.SIGKILL, action=KILL)
         faults += found
         if samples is not None:
             if samples < recovered:
-                faults.append(f"{where}: {samples} samples, {recovered} of a shorter journal")
+                faults.append(f"{name} killed before call {at}: {samples} samples, {recovered} of a shorter journal")
             recovered = samples
     return len(points), len(whole.calls), faults
 
@@ -110,12 +104,8 @@ def _kill_while_recording(
 ) -> tuple[int, float]:
     """Record, and kill the recorder so long after the first sample.
 
-    Returns
-    -------
-    samples : int
-        What the board had sent.
-    longest_s : float
-        The longest time between two syncs of the journal, or from the last one to the end.
+    Return the samples that the board had sent, and the longest time between two syncs of the journal, or from the last
+    one to the end.
     """
     child = server.start(line, place)
     until = time.monotonic() + 60

@@ -11,7 +11,7 @@ from stickslip.errors import EXIT_DEVICE, EXIT_INPUT
 from . import forked, tasks
 from .forked import CREATE, EVERY, RENAME, SYNC, TRUNCATE, WRITE, Ended, Server
 from .result import Result, Size
-from .tasks import TASKS, Task
+from .tasks import TASKS
 
 BEFORE_THE_RUN = 6  # calls of a recording before it has started the board: the journal with its header, synced
 
@@ -42,11 +42,11 @@ FOLDERS = {
 
 def disk(size: Size, folder: Path, server: Server, sources: Path) -> list[Result]:
     """Refuse calls of every command of `TASKS`, and take its folder away, ``size.amount`` times in all."""
-    trial = Trial(server, sources, folder / "trials" / "folder")
-    refused = _tries(trial, list(DISKS), size.amount * 2 // 3)
-    moved = _tries(trial, list(FOLDERS), size.amount // 3)
-    refusals = [fault for name, how, at in refused for fault in trial.refuse(name, how, at)]
-    moves = [fault for name, how, at in moved for fault in trial.take_away(name, how, at)]
+    trials = tasks.Trials(server, sources, folder / "trials" / "folder")
+    refused = _tries(trials, list(DISKS), size.amount * 2 // 3)
+    moved = _tries(trials, list(FOLDERS), size.amount // 3)
+    refusals = [fault for name, how, at in refused for fault in _refuse(trials, name, how, at)]
+    moves = [fault for name, how, at in moved for fault in _take_away(trials, name, how, at)]
     return [
         Result(
             "a disk that refuses ends a command with exit code 3 and a line that names the file; originals and journal "
@@ -65,14 +65,14 @@ def disk(size: Size, folder: Path, server: Server, sources: Path) -> list[Result
     ]
 
 
-def _tries(trial: "Trial", ways: list[str], amount: int) -> list[tuple[str, str, int]]:
+def _tries(trials: tasks.Trials, ways: list[str], amount: int) -> list[tuple[str, str, int]]:
     """Return command, way and call of so many trials, evenly over all commands and ways."""
     found: list[tuple[str, str, int]] = []
     each = max(1, amount // (len(TASKS) * len(ways)))
     for k, name in enumerate(TASKS):
         for j, way in enumerate(ways):
             kinds = DISKS[way].kinds if way in DISKS else EVERY
-            points = sum(1 for kind in trial.calls(name) if kind & kinds)
+            points = sum(1 for kind in trials.known(name).ended.calls if kind & kinds)
             if each > 1:
                 found += [(name, way, at) for at in tasks.spread(list(range(1, points + 1)), each)]
             else:  # a short campaign: another stage of each command
@@ -80,61 +80,34 @@ def _tries(trial: "Trial", ways: list[str], amount: int) -> list[tuple[str, str,
     return tasks.spread(found, amount)
 
 
-class Trial:
-    """Commands in a folder of which an undisturbed command's end is known."""
+def _refuse(trials: tasks.Trials, name: str, how: str, at: int) -> list[str]:
+    way = DISKS[how]
+    clean = how not in ("read-only", "failing once")  # which let nothing be removed
+    spoil = {"kinds": way.kinds, "error": way.error, "action": way.action}
+    codes = TASKS[name].ends, EXIT_DEVICE
+    return trials.disturb(name, at, f"disk {how} from here on:", *codes, clean=clean, **spoil)[0]
 
-    def __init__(self, server: Server, sources: Path, folder: Path) -> None:
-        self._server, self._sources, self._folder = server, sources, folder
-        self._known = {name: tasks.undisturbed(server, task, sources, folder) for name, task in TASKS.items()}
 
-    def calls(self, name: str) -> tuple[int, ...]:
-        """Return the kinds of an undisturbed command's calls."""
-        return self._known[name].ended.calls
-
-    def refuse(self, name: str, how: str, at: int) -> list[str]:
-        """Refuse calls of a command from one on; return the faults."""
-        task, way = TASKS[name], DISKS[how]
-        task.begin(self._sources, self._folder)
-        spoil = {"kinds": way.kinds, "error": way.error, "action": way.action}
-        ended = self._server.run(list(task.line), self._folder, at=at, **spoil)
-        where = f"{' '.join(task.line)}, disk {how} from call {at} ({ended.name}) on"
-        found = [f"{where}: {what}" for what in _badly_ended(ended, task, (EXIT_DEVICE,))]
-        if how not in ("read-only", "failing once"):  # which let nothing be removed
-            found += [f"{where}: {path.name} is left" for path in self._folder.glob(".*.partial")]
-        return found + tasks.aftermath(self._server, task, self._folder, self._known[name], where)[0]
-
-    def take_away(self, name: str, how: str, at: int) -> list[str]:
-        """Take the folder of a command away; return the faults."""
-        task = TASKS[name]
-        parent = self._folder.parent
-        shutil.rmtree(parent)
-        task.begin(self._sources, self._folder)
-        absolute = name == "record" and at % 2 == 1
-        line = [*task.line[:-1], str(self._folder / "new.h5")] if absolute else list(task.line)
-        ended = self._server.run(line, self._folder, at=at, action=FOLDERS[how])
-        where = f"{' '.join(task.line)}, folder {how} before call {at} ({ended.name})"
-        found = [f"{where}: {what}" for what in _badly_ended(ended, task, (EXIT_DEVICE, EXIT_INPUT))]
-        if name == "record":
-            if BEFORE_THE_RUN < at <= self.calls(name).index(RENAME) + 1:  # after that it goes away with the run in it
-                found += [f"{where}: {what}" for what in _not_recorded(ended, parent, absolute)]
-            return found
-        away = self._folder.with_name(f"{self._folder.name}.away")
-        if away.is_dir():
-            found += tasks.aftermath(self._server, task, away, self._known[name], where)[0]
-        found += [f"{where}: {path.name} is left in the folder above" for path in parent.iterdir() if path.is_file()]
+def _take_away(trials: tasks.Trials, name: str, how: str, at: int) -> list[str]:
+    """Take the folder of a command away; return the faults."""
+    task, folder = TASKS[name], trials.folder
+    parent = folder.parent
+    shutil.rmtree(parent, ignore_errors=True)
+    task.begin(trials.sources, folder)
+    absolute = name == "record" and at % 2 == 1
+    line = [*task.line[:-1], str(folder / "new.h5")] if absolute else list(task.line)
+    ended = trials.server.run(line, folder, at=at, action=FOLDERS[how])
+    where = f"{' '.join(task.line)}, folder {how} before call {at} ({ended.name})"
+    found = [f"{where}: {what}" for what in tasks.ended_badly(ended, task, task.ends, EXIT_DEVICE, EXIT_INPUT)]
+    known = trials.known(name)
+    if name == "record":
+        if BEFORE_THE_RUN < at <= known.ended.calls.index(RENAME) + 1:  # after that it goes away with the run in it
+            found += [f"{where}: {what}" for what in _not_recorded(ended, parent, absolute)]
         return found
-
-
-def _badly_ended(ended: Ended, task: Task, codes: tuple[int, ...]) -> list[str]:
-    """Return whether a disturbed command ended otherwise than with its own exit code or one of ``codes`` and a line."""
-    found = []
-    if ended.hung:
-        found.append("hung")
-    if ended.code not in (task.ends, *codes) or ended.traceback:
-        found.append(f"ended with {ended.code}: {ended.err}")
-    elif ended.code in codes and not ended.err.strip():
-        found.append(f"ended with {ended.code} without a word")
-    return found
+    away = folder.with_name(f"{folder.name}.away")
+    if away.is_dir():
+        found += tasks.aftermath(trials.server, task, away, known, where)[0]
+    return found + [f"{where}: {path.name} is left in the folder above" for path in parent.iterdir() if path.is_file()]
 
 
 def _not_recorded(ended: Ended, parent: Path, absolute: bool) -> list[str]:

@@ -4,6 +4,7 @@ A fork costs some milliseconds, where a fresh interpreter costs half a second of
 into minutes.  `Server` is the campaign's side; ``python -m tests.reliability.forked LIBRARY`` the other.
 """
 
+import contextlib
 import ctypes
 import importlib
 import json
@@ -17,6 +18,8 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from ..conftest import no_other_law
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = Path(__file__).with_name("preload.c")
@@ -36,35 +39,23 @@ COUNT, KILL, REFUSE_ONE, REFUSE_ALL, FOLDER_RENAMED, FOLDER_REMOVED, FOLDER_EMPT
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended.
+    """How a command ended."""
 
-    ``code`` is its exit code, or minus the signal that ended it; ``calls`` the kinds of the calls that counted;
-    ``name`` which one was spoiled; ``syncs`` when each fsync returned (monotonic s); ``cpu_s`` its CPU time.
-    """
-
-    code: int
+    code: int  # or minus the signal that ended it
     out: str
     err: str
-    calls: tuple[int, ...]
-    name: str
+    calls: tuple[int, ...]  # kinds of those that counted
+    name: str  # of the call that was spoiled
     hung: bool
-    syncs: tuple[float, ...]
+    syncs: tuple[float, ...]  # when each fsync returned, monotonic s
     cpu_s: float
 
     @property
     def traceback(self) -> bool:
-        """Whether it printed a traceback."""
         return "Traceback (most recent call last)" in self.err
 
 
 def compiled(folder: Path) -> Path:
-    """Compile the library to preload into a folder; return its path.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no C compiler.
-    """
     library = folder / "preload.so"
     line = ["cc", "-std=gnu11", "-O2", "-Wall", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl", "-lrt"]
     subprocess.run(line, check=True)
@@ -74,10 +65,7 @@ def compiled(folder: Path) -> Path:
 class Server:
     """A process that forks commands; a context manager.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the library and the output of commands go.  What is spoiled must lie elsewhere.
+    The library and the output of commands go into ``folder``; what is spoiled must lie elsewhere.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -98,15 +86,12 @@ class Server:
         return self
 
     def __exit__(self, *error: object) -> None:
-        assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
-        assert self._process.stdout is not None
         self._process.stdout.close()
 
     @property
     def cpu_s(self) -> float:
-        """CPU time of the server and of the forks that have ended, s."""
         used = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()[11:15]
         return sum(map(int, used)) / os.sysconf("SC_CLK_TCK")
 
@@ -119,45 +104,31 @@ class Server:
         line: list[str],
         cwd: Path,
         *,
-        watched: Path | None = None,
         kinds: int = EVERY,
         at: int = 0,
         action: int = COUNT,
         error: int = 0,
-        send: list[tuple[float, int]] | None = None,
         hangs_s: float = HANGS_S,
+        all_laws: bool = False,
     ) -> Ended:
-        """Run a command in a fork.
+        """Run a command (an entry of `APPS` and its arguments) in a fork, which is killed after ``hangs_s``.
 
-        Parameters
-        ----------
-        line : list of str
-            "daq", "process", "fit-friction" or "rig-sim", and its arguments.
-        cwd : Path
-            Its working folder.
-        watched : Path
-            The folder whose calls count, by default ``cwd``.
-        kinds, at, action, error : int
-            Which calls count; from which one on (from 1) what happens; the errno, or the signal of SEND.
-        send : list of (float, int)
-            Signals to send: seconds after the fork, number.
-        hangs_s : float
-            How long it may take; then it is killed.
+        Calls of ``kinds`` in its working folder count; from number ``at`` on (from 1) ``action`` happens, with
+        ``error``: the errno, or the signal of SEND.  Without ``all_laws`` no law is fitted beside those asked for.
         """
-        armed = {"watched": str(watched or cwd), "kinds": kinds, "at": at, "action": action, "error": error}
-        return self.start(line, cwd, **armed).wait(send, hangs_s)
+        armed = {"watched": str(cwd), "kinds": kinds, "at": at, "action": action, "error": error, "all_laws": all_laws}
+        return self.start(line, cwd, **armed).wait(hangs_s)
 
     def start(self, line: list[str], cwd: Path, **armed: Any) -> "Fork":
         """Run a command in a fork, and return at once; counts of calls are those of the fork started last."""
         self._started += 1
-        armed = {"watched": "", "kinds": 0, "at": 0, "action": COUNT, "error": 0} | armed
+        armed = {"watched": "", "kinds": 0, "at": 0, "action": COUNT, "error": 0, "all_laws": False} | armed
         output = str(self._folder / str(self._started))
         asked = {"do": "start", "line": line, "cwd": str(cwd), "output": output, **armed}
         return Fork(self, self._ask(asked)["pid"], output)
 
-    def wait(self, pid: int, output: str, send: list[tuple[float, int]], hangs_s: float) -> Ended:
-        """Wait for a fork that `start` made."""
-        found = self._ask({"do": "wait", "pid": pid, "send": send, "hangs_s": hangs_s})
+    def wait(self, pid: int, output: str, hangs_s: float) -> Ended:
+        found = self._ask({"do": "wait", "pid": pid, "hangs_s": hangs_s})
         texts = {}
         for name in ("out", "err"):
             place = Path(f"{output}.{name}")
@@ -166,15 +137,12 @@ class Server:
         return Ended(**found | texts | {name: tuple(found[name]) for name in ("calls", "syncs")})
 
     def _ask(self, asked: dict[str, Any]) -> dict[str, Any]:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()
         answer = self._process.stdout.readline()
         if not answer:
             raise RuntimeError(f"the server of forks is gone, at {asked}")
-        found: dict[str, Any] = json.loads(answer)
-        return found
+        return json.loads(answer)
 
 
 def cpu_time(server: Server | None) -> float:
@@ -191,16 +159,13 @@ class Fork:
     output: str
 
     def send(self, number: int) -> None:
-        """Send a signal."""
         os.kill(self.pid, number)
 
-    def wait(self, send: list[tuple[float, int]] | None = None, hangs_s: float = HANGS_S) -> Ended:
-        """Wait for its end, at most so long; send signals meanwhile, so many seconds from now."""
-        return self.server.wait(self.pid, self.output, send or [], hangs_s)
+    def wait(self, hangs_s: float = HANGS_S) -> Ended:
+        return self.server.wait(self.pid, self.output, hangs_s)
 
 
 def _serve(library: ctypes.CDLL) -> None:
-    """Answer requests until stdin ends."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     for request in sys.stdin:
@@ -236,15 +201,12 @@ def _start(library: ctypes.CDLL, asked: dict[str, Any]) -> dict[str, Any]:
 
 def _wait(library: ctypes.CDLL, asked: dict[str, Any]) -> dict[str, Any]:
     began = time.monotonic()
-    hung, waiting = False, sorted(asked["send"])
+    hung = False
     while True:
         done, status, used = os.wait4(asked["pid"], os.WNOHANG)
         if done:
             break
-        passed = time.monotonic() - began
-        while waiting and waiting[0][0] <= passed:
-            os.kill(asked["pid"], waiting.pop(0)[1])
-        if passed > asked["hangs_s"]:
+        if time.monotonic() - began > asked["hangs_s"]:
             hung = True
             os.kill(asked["pid"], signal.SIGKILL)
         time.sleep(0.001)
@@ -281,8 +243,10 @@ def _become(library: ctypes.CDLL, asked: dict[str, Any]) -> None:
         # A process of its own has not shown any; those that the server has shown would not be shown again.
         warnings.simplefilter("always", RuntimeWarning)
         app = importlib.import_module(APPS[command]).app
-        library.preload_begin()
-        application.main(app)
+        searched = contextlib.nullcontext() if asked["all_laws"] or command != "fit-friction" else no_other_law()
+        with searched:
+            library.preload_begin()
+            application.main(app)
     except SystemExit as end:
         code = end.code
     except BaseException:

@@ -14,7 +14,7 @@ import numpy as np
 import daq
 from daq.runfile import store
 
-from ..contract.conftest import FakeFrames, motion
+from ..boards import FakeFrames, motion
 from . import tasks
 from .result import Result, Size
 
@@ -113,7 +113,6 @@ def load(size: Size, folder: Path) -> list[Result]:
 
 
 def _long(rate_hz: int, size: Size, folder: Path) -> Result:
-    """Record as fast as the line goes."""
     samples = size.amount * rate_hz
     output = folder / f"{rate_hz}.h5"
     found = _recorded(output, rate_hz, samples)
@@ -174,7 +173,6 @@ def _asleep(seconds: int, folder: Path) -> Result:
 
 
 def _unplugged(times: int, folder: Path) -> Result:
-    """Unplug the board again and again, every `UNPLUGGED_S` of its own time."""
     units = UNPLUGGED_S * FakeFrames.rate_hz // BLOCK
     samples, output = (times + 1) * UNPLUGGED_S * FakeFrames.rate_hz, folder / "unplugged.h5"
     with FakeFrames(folder / "ttyPLUG", {units * (k + 1): "unplug" for k in range(times)}) as board:
@@ -202,7 +200,6 @@ def _unplugged(times: int, folder: Path) -> Result:
 
 
 def _recorded(output: Path, rate_hz: int, samples: int) -> dict[str, Any]:
-    """Record a board that sends as fast as it is read; return what the recorder found."""
     from daq.wire import frames
 
     capabilities = frames.Capability.BLOCKS | frames.Capability.LEVELS
@@ -225,8 +222,7 @@ def _run(program: str, *arguments: object) -> dict[str, Any]:
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=HANGS_S)
     if done.returncode:
         raise RuntimeError(f"the recorder ended with {done.returncode}: {done.stderr[-500:]}")
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    return json.loads(done.stdout)
 
 
 def _wrong(output: Path, samples: int, rate_hz: int) -> list[str]:

@@ -53,7 +53,6 @@ def numerics(size: Size, folder: Path, server: Server) -> list[Result]:
 
 
 def _scenes(server: Server, folder: Path, values: tuple[str, ...]) -> tuple[list[str], int]:
-    """Return the faults of scenes, and how many were tried."""
     faults, tried = [], 0
     for name in _numbers(scene.scene("rig").model_dump()):
         for value in values:
@@ -66,7 +65,6 @@ def _scenes(server: Server, folder: Path, values: tuple[str, ...]) -> tuple[list
 
 
 def _numbers(tree: dict[str, object], prefix: str = "") -> list[str]:
-    """Return the dotted names of all numbers of a scene."""
     found = []
     for name, value in tree.items():
         if isinstance(value, dict):
@@ -77,7 +75,6 @@ def _numbers(tree: dict[str, object], prefix: str = "") -> list[str]:
 
 
 def _tables(server: Server, folder: Path, values: tuple[str, ...]) -> tuple[list[str], int]:
-    """Return the faults of tables, and how many were tried."""
     faults, tried = [], 0
     places: tuple[slice | int, ...] = (0, TABLE // 2, TABLE - 1, slice(None))
     for column in (0, 1):
@@ -98,14 +95,12 @@ def _tables(server: Server, folder: Path, values: tuple[str, ...]) -> tuple[list
 
 
 def _table(path: Path, value: str, column: int, place: slice | int = 0) -> None:
-    """Write a table of times and positions with a value in some of its rows."""
     cells = np.array([[f"{k / 100!r}", f"{0.01 * np.sin(k / 20):.6f}"] for k in range(TABLE)], dtype=object)
     cells[place, column] = value
     path.write_text("t_s,x_m\n" + "\n".join(",".join(row) for row in cells) + "\n")
 
 
 def _wrong(done: Ended, line: list[str]) -> list[str]:
-    """Return what is wrong with how a command ended."""
     again = shlex.join(line)
     if done.hung or done.cpu_s > LONGEST_S:
         return [f"{done.cpu_s:.0f} s of CPU time: {again}"]

@@ -8,13 +8,7 @@ TABLES = {
 
 
 def replace_rows(path, name, results, run):
-    """Put the rows of a campaign into the page: its results, and its date, version, processor, minutes and CPU minutes.
-
-    Raises
-    ------
-    ValueError
-        The page has no such table.
-    """
+    """Put a campaign's results into the page, and its date, version, processor, minutes and CPU minutes."""
     from .test_campaigns import CAMPAIGNS
 
     text = path.read_text(encoding="utf-8")

@@ -10,27 +10,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Result:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes
-    ----------
-    promise : str
-        What holds, in one sentence.
-    tried : str
-        What was done to it, with numbers.
-    measured : str
-        What came out, with numbers and units.
-    faults : tuple of str
-        What broke the promise, each with what to run to see it again.
-    test : str
-        A test that holds the promise besides the campaign; "" for none.
-    """
-
-    promise: str
-    tried: str
-    measured: str
-    faults: tuple[str, ...] = ()
-    test: str = ""
+    promise: str  # what holds, in one sentence
+    tried: str  # what was done to it, with numbers
+    measured: str  # what came out, with numbers and units
+    faults: tuple[str, ...] = ()  # what broke the promise, each with what to run to see it again
+    test: str = ""  # one that holds the promise besides the campaign
 
 
 @dataclass(frozen=True)

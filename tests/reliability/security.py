@@ -1,6 +1,7 @@
 """What the programs execute and give away: no foreign code, no page for others, no cache that others may write."""
 
 import ast
+import contextlib
 import http.client
 import os
 import re
@@ -9,7 +10,6 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,12 @@ from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 
+import daq.cli.app
+import fitting.cli
+from stickslip.console import application
+from stickslip.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED
+
+from ..conftest import no_other_law
 from .result import Result, Size
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -124,7 +130,6 @@ def _dependencies() -> Result:
 
 
 def _cache(folder: Path) -> Result:
-    """Let a folder of machine code be one into which others may write."""
     script = "from stickslip.compute.compile import cache_folder; print(cache_folder(('stickslip.errors',)))"
     faults, said = [], []
     for name, mode, own in (("private", 0o700, True), ("shared", 0o777, False), ("sticky", 0o1777, True)):
@@ -150,7 +155,7 @@ def _cache(folder: Path) -> Result:
     )
 
 
-@contextmanager
+@contextlib.contextmanager
 def _live(folder: Path, *notes: str) -> Iterator[SplitResult]:
     """Record with the live view; yield its page's URL."""
     folder.mkdir()
@@ -165,7 +170,6 @@ def _live(folder: Path, *notes: str) -> Iterator[SplitResult]:
 
 
 def _server(size: Size, folder: Path) -> Result:
-    """Ask the live server for what it must not give."""
     chance = np.random.default_rng(size.seed)
     faults = []
     with _live(folder) as url:
@@ -229,7 +233,6 @@ def _asked(
 
 
 def _listening(port: int) -> set[str]:
-    """Return the addresses, as in /proc/net/tcp, on which a port listens."""
     found = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for row in Path(table).read_text().splitlines()[1:]:
@@ -240,7 +243,6 @@ def _listening(port: int) -> set[str]:
 
 
 def _pages(folder: Path) -> Result:
-    """Open every page in a browser, of runs whose texts are scripts."""
     promise = "no text of a run, a journal or a marker is executed in a page, and no page asks the network for anything"
     test = {"test": "tests/browser/test_report_page.py"}
     chromium = shutil.which("chromium")
@@ -253,11 +255,12 @@ def _pages(folder: Path) -> Result:
     everything = " ".join(PAYLOADS)
     notes = [f"--{name}={everything}" for name in ("title", "operator", "sample", "note")]
     notes += [f"--tag={name}={text}" for name, text in zip(("x", "y", "z"), PAYLOADS, strict=False)]
-    runs = [folder / "run.h5", folder / "<img src=x onerror=window.hacked=1>.h5"]
-    for run in runs:
-        shutil.copy(ROOT / "data_samples/law5.h5", run)
-        _command("daq.cli.app", "note", run.name, *notes, "--mark", "1", everything, cwd=folder)
-    _command("fitting.cli", "--each", "--laws", "5", *(run.name for run in runs), cwd=folder)
+    runs = ["run.h5", "<img src=x onerror=window.hacked=1>.h5"]
+    with contextlib.chdir(folder), no_other_law():
+        for run in runs:
+            shutil.copy(ROOT / "data_samples/law5.h5", run)
+            _run(daq.cli.app.app, "note", run, *notes, "--mark", "1", everything)
+        _run(fitting.cli.app, "--each", "--laws", "5", *runs)
     pages = sorted(folder.glob("*.html"))
     faults: list[str] = []
     with sync_playwright() as start:
@@ -280,11 +283,10 @@ def _pages(folder: Path) -> Result:
     )
 
 
-def _command(module: str, *arguments: str, cwd: Path) -> None:
-    line = [sys.executable, "-m", module, *arguments]
-    done = subprocess.run(line, cwd=cwd, capture_output=True, text=True, check=False)
-    if "Traceback" in done.stderr or done.returncode not in (0, 5, 6):
-        raise RuntimeError(f"{arguments[0]} ended with {done.returncode}: {done.stderr}")
+def _run(app: Any, *arguments: str) -> None:
+    code = application.run(app, list(arguments))
+    if code not in (EXIT_DONE, EXIT_UNDECIDED, EXIT_NO_LAW):
+        raise RuntimeError(f"{arguments[0]} ended with {code}")
 
 
 def _opened(browser: Any, address: str, own: str) -> list[str]:

@@ -45,7 +45,7 @@ def signals(size: Size, folder: Path, server: Server, sources: Path) -> list[Res
     """Signal recordings at most ``size.amount`` times while they start, run and end, and commands at their calls."""
     _heed_signals()
     timed, timed_faults = _at_times(compiled(folder), sources, folder / "timed", size)
-    called, called_faults = _at_calls(server, sources, folder / "called", size)
+    called, called_faults = _at_calls(tasks.Trials(server, sources, folder / "called"), size)
     streams, stream_faults = _streams(sources, folder / "streams", size)
     return [
         Result(
@@ -66,7 +66,6 @@ def signals(size: Size, folder: Path, server: Server, sources: Path) -> list[Res
 
 
 def _line(line: Sequence[str]) -> list[str]:
-    """Return a command line as the installed command begins, with its entry point."""
     return [sys.executable, "-c", f"from stickslip.console.start import {ENTRIES[line[0]]} as run; run()", *line[1:]]
 
 
@@ -145,7 +144,6 @@ def _moments(line: Sequence[str], sources: Path, folder: Path) -> list[Moment]:
 def _signalled(
     library: Path, line: Sequence[str], folder: Path, numbers: Sequence[int], moment: Moment
 ) -> tuple[int, str, str]:
-    """Run a command, send it signals at a moment; return its exit code and what it printed."""
     if moment.cpu_s is None:
         process = _start(line, folder)
         tasks.wait_for_journal(folder / "new.h5.part", lambda: process.poll() is not None)
@@ -216,20 +214,15 @@ def _recording_faults(code: int, out: str, err: str, folder: Path, numbers: Sequ
     return found
 
 
-def _at_calls(server: Server, sources: Path, folder: Path, size: Size) -> tuple[int, list[str]]:
+def _at_calls(trials: tasks.Trials, size: Size) -> tuple[int, list[str]]:
     """Interrupt every command before its calls; return how often, and the faults."""
+    interrupt = {"action": SEND, "error": signal.SIGINT}
     tried, faults = 0, []
-    for task in TASKS.values():
-        known = tasks.undisturbed(server, task, sources, folder)
-        calls = known.ended.calls
-        for at in tasks.spread(list(range(1, len(calls) + 1)), max(2, size.amount // 25)):
-            task.begin(sources, folder)
-            ended = server.run(list(task.line), folder, at=at, action=SEND, error=signal.SIGINT)
+    for name in TASKS:
+        calls = len(trials.known(name).ended.calls)
+        for at in tasks.spread(list(range(1, calls + 1)), max(2, size.amount // 25)):
             tried += 1
-            where = f"{' '.join(task.line)}, INT before call {at} of {len(calls)}"
-            if ended.traceback or ended.hung or ended.code not in (task.ends, EXIT_INTERRUPTED):
-                faults.append(f"{where}: ended with {ended.code}: {ended.err}")
-            faults += tasks.aftermath(server, task, folder, known, where)[0]
+            faults += trials.disturb(name, at, "INT before", TASKS[name].ends, EXIT_INTERRUPTED, **interrupt)[0]
     return tried, faults
 
 

@@ -4,14 +4,15 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import h5py
 import numpy as np
 
 import daq
-from stickslip.errors import EXIT_DATA
+from stickslip.errors import EXIT_DATA, EXIT_INTERRUPTED
 
 from .forked import HANGS_S, KILL, RENAME, Ended, Server
 
@@ -23,27 +24,13 @@ VARYING = ("cpu_time", "date", "git_commit", "git_dirty")
 
 @dataclass(frozen=True)
 class Task:
-    """A command.
-
-    Attributes
-    ----------
-    line : tuple of str
-        The command line, in a folder that holds ``files``.
-    files : tuple of str
-        What it starts from; names in the folder of `prepared`.
-    makes : tuple of str
-        What it leaves besides.
-    consumes : tuple of str
-        What it removes.
-    ends : int
-        Its exit code.
-    """
+    """A command, in a folder that holds the files it starts from."""
 
     line: tuple[str, ...]
-    files: tuple[str, ...]
-    makes: tuple[str, ...]
+    files: tuple[str, ...]  # names in the folder of `prepare`
+    makes: tuple[str, ...]  # what it leaves besides
     consumes: tuple[str, ...] = ()
-    ends: int = 0
+    ends: int = 0  # its exit code
 
     @property
     def records(self) -> bool:
@@ -52,7 +39,6 @@ class Task:
 
     @property
     def leaves(self) -> set[str]:
-        """The names that it leaves."""
         return {*self.files, *self.makes} - {*self.consumes}
 
     def begin(self, sources: Path, folder: Path) -> None:
@@ -63,14 +49,10 @@ class Task:
             shutil.copy2(sources / name, folder / name)  # an import begins at the table's time
 
 
+JOURNAL = ("new.h5.part", "new.h5.markers")
 TASKS = {
     "record": Task(("daq", "record", "--duration", "2", "-o", "new.h5"), (), ("new.h5",)),
-    "recover": Task(
-        ("daq", "recover", "new.h5.part"),
-        ("new.h5.part", "new.h5.markers"),
-        ("new.h5",),
-        ("new.h5.part", "new.h5.markers"),
-    ),
+    "recover": Task(("daq", "recover", "new.h5.part"), JOURNAL, ("new.h5",), JOURNAL),
     "smooth": Task(("process", "smooth", "run.h5"), ("run.h5",), ()),
     "fit": Task(("fit-friction", "run.h5", "--laws", "5"), ("run.h5",), ("run.report.html",)),
     "import": Task(("daq", "import", "table.csv", "-o", "new.h5"), ("table.csv",), ("new.h5",)),
@@ -96,13 +78,7 @@ def prepare(server: Server, folder: Path) -> Path:
 
 
 def content(path: Path) -> dict[str, bytes] | bytes:
-    """Return what a file holds: of a run file its datasets and attributes without what is not the same twice.
-
-    Raises
-    ------
-    OSError
-        A run file that HDF5 cannot read.
-    """
+    """Return what a file holds: of a run file its datasets and attributes without what is not the same twice."""
     if path.suffix != ".h5":
         text = path.read_bytes()
         return text[:15] + text[-8:] if path.suffix == ".html" else text
@@ -122,12 +98,10 @@ def content(path: Path) -> dict[str, bytes] | bytes:
     return found
 
 
-Item = TypeVar("Item")
 Contents = dict[str, "dict[str, bytes] | bytes"]
 
 
 def contents(folder: Path) -> Contents:
-    """Return what every file of a folder holds, by name."""
     return {path.name: content(path) for path in sorted(folder.iterdir())}
 
 
@@ -140,24 +114,53 @@ class Undisturbed:
     ended: Ended
 
 
-def undisturbed(server: Server, task: Task, sources: Path, folder: Path) -> Undisturbed:
-    """Run a command in a folder of its own."""
+@cache
+def undisturbed(server: Server, task: Task, sources: Path) -> Undisturbed:
+    folder = sources.parent / "undisturbed"
     task.begin(sources, folder)
     before = contents(folder)
     ended = server.run(list(task.line), folder)
     return Undisturbed(before, contents(folder), ended)
 
 
-def aftermath(server: Server, task: Task, folder: Path, known: Undisturbed, where: str) -> tuple[list[str], int | None]:
-    """Look at the files that a disturbed command left, do what a person would do next, and look again.
+@dataclass(frozen=True)
+class Trials:
+    """The commands of `TASKS` in one folder, each disturbed at one of its calls."""
 
-    Returns
-    -------
-    faults : list of str
-        Each begins with ``where``.
-    samples : int or None
-        Those of the journal that was left, if any.
-    """
+    server: Server
+    sources: Path
+    folder: Path
+
+    def known(self, name: str) -> Undisturbed:
+        return undisturbed(self.server, TASKS[name], self.sources)
+
+    def disturb(
+        self, name: str, at: int, how: str, *codes: int, clean: bool = False, **spoil: int
+    ) -> tuple[list[str], int | None]:
+        """Spoil a call of a command, which must end with one of ``codes``, then do what a person would do next.
+
+        Return the faults, and the samples of the journal that was left, if any.  ``clean``: nothing half-made is left.
+        """
+        task = TASKS[name]
+        task.begin(self.sources, self.folder)
+        ended = self.server.run(list(task.line), self.folder, at=at, **spoil)
+        where = f"{' '.join(task.line)}, {how} call {at} ({ended.name})"
+        found = [f"{where}: {what}" for what in ended_badly(ended, task, *codes)]
+        found += [f"{where}: {path.name} is left" for path in self.folder.glob(".*.partial") if clean]
+        following, samples = aftermath(self.server, task, self.folder, self.known(name), where)
+        return found + following, samples
+
+
+def ended_badly(ended: Ended, task: Task, *codes: int) -> list[str]:
+    """Return whether a disturbed command ended otherwise than with one of ``codes`` and, but for its own, a line."""
+    if ended.hung or ended.traceback or ended.code not in codes:
+        return [f"{'hung, ' * ended.hung}ended with {ended.code}: {ended.err}"]
+    silent = ended.code not in (task.ends, EXIT_INTERRUPTED) and ended.code > 0 and not ended.err.strip()
+    return [f"ended with {ended.code} without a word"] * silent
+
+
+def aftermath(server: Server, task: Task, folder: Path, known: Undisturbed, where: str) -> tuple[list[str], int | None]:
+    """Look at the files that a disturbed command left, do what a person would do next, and look again."""
     found = [f"{where}: {what}" for what in spoiled(task, folder, known.before, known.after)]
     following, samples = _follow(server, task, folder, known.after)
     found += [f"{where}, then {what}" for what in following]
@@ -176,17 +179,13 @@ def spoiled(task: Task, folder: Path, before: Contents, after: Contents) -> list
         except OSError as error:
             found.append(f"half a file {path.name}: {error}")
             continue
-        if task.records and _is_run(path):
+        if task.records and daq.load(path).time.size > 0:
             continue  # `_differences` looks at its samples
         if held not in (before.get(path.name), after.get(path.name)):
             found.append(f"{path.name} is neither as before nor as after")
     gone = [name for name in before if not (folder / name).exists()]
     done = all((folder / name).exists() for name in task.makes)
     return found + [f"{name} is gone" for name in gone if name not in task.consumes or not done]
-
-
-def _is_run(path: Path) -> bool:
-    return daq.load(path).time.size > 0
 
 
 def _follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[list[str], int | None]:
@@ -201,7 +200,9 @@ def _follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[
             return [f"{' '.join(line)} ended with {ended.code}: {ended.err}"], None
         if ended.code == EXIT_DATA:  # the board had not sent a sample
             part.unlink()
-    elif all((folder / name).exists() for name in task.makes) and (task.records or _holds(folder, task.leaves, after)):
+    elif all((folder / name).exists() for name in task.makes) and (
+        task.records or all((folder / name).exists() and content(folder / name) == after[name] for name in task.leaves)
+    ):
         return [], None  # it has done its work
     ended = server.run(list(task.line), folder)
     if ended.code != task.ends or ended.traceback or ended.hung:
@@ -209,25 +210,14 @@ def _follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[
     return [], None
 
 
-def _holds(folder: Path, names: set[str], after: Contents) -> bool:
-    return all((folder / name).exists() and content(folder / name) == after[name] for name in names)
-
-
 def _differences(now: Contents, after: Contents, recording: bool) -> list[str]:
-    """Return how a folder differs from that of a command that was not killed."""
     found = [f"{name} is left over" for name in now if name not in after]
     found += [f"{name} is missing" for name in after if name not in now]
-    if recording:
-        return found + _shortened(now.get("new.h5"), after["new.h5"])
-    return found + [f"{name} differs" for name in after if name in now and now[name] != after[name]]
-
-
-def _shortened(now: object, after: object) -> list[str]:
-    """Return whether a recording's counts are not the beginning of the undisturbed one's."""
+    if not recording:
+        return found + [f"{name} differs" for name in after if name in now and now[name] != after[name]]
     counts = "entry/raw/count_up"
-    if isinstance(now, dict) and isinstance(after, dict) and not after[counts].startswith(now[counts]):
-        return ["its counts are not the beginning of the undisturbed run's"]
-    return []
+    shortened = "new.h5" in now and not after["new.h5"][counts].startswith(now["new.h5"][counts])
+    return found + ["its counts are not the beginning of the undisturbed run's"] * shortened
 
 
 def wait_for_journal(part: Path, ended: Callable[[], bool] = lambda: False) -> None:
@@ -237,7 +227,7 @@ def wait_for_journal(part: Path, ended: Callable[[], bool] = lambda: False) -> N
         time.sleep(0.02)
 
 
-def spread(values: list[Item], amount: int) -> list[Item]:
+def spread(values: list[Any], amount: int) -> list[Any]:
     """Return so many of the values, evenly, with the first and the last."""
     at = np.unique(np.linspace(0, len(values) - 1, min(amount, len(values))).round().astype(int))
     return [values[k] for k in at]

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from . import bad_input, clocks, concurrency, contacts, crash, disk, load, numerics, security, signals
+from . import bad_input, clocks, concurrency, contacts, crash, disk, load, numerics, page, security, signals
+from .conftest import PAGE
 from .forked import cpu_time
+from .inputs import batch
 from .result import Result, Size
 
 IN_MEMORY = "/dev/shm"
@@ -19,18 +21,16 @@ IN_MEMORY = "/dev/shm"
 
 @dataclass(frozen=True)
 class Campaign:
-    """A function, and how much it tries at the short and at the full size.
-
-    ``on_disk``: it measures times between syncs, or writes more than memory should hold; the others work in memory
-    where the system offers a folder there, since they would mostly wait for the disk.  ``open_faults`` are how the
-    faults that it is known to find are named: docs/reliability.md states them in words, and has no rows of it; any
-    other fault fails the short size.
-    """
+    """A function, and how much it tries at the short and at the full size."""
 
     function: Callable[..., list[Result]]
     short: int
     full: int
+    # It measures times between syncs, or writes more than memory should hold; the others work in memory where the
+    # system offers a folder there, since they would mostly wait for the disk.
     on_disk: bool = False
+    # How the faults that it is known to find are named: docs/reliability.md states them in words, and has no rows of
+    # the campaign; any other fault fails the short size.
     open_faults: tuple[str, ...] = ()
 
 
@@ -80,3 +80,15 @@ def test_a_campaign_finds_no_fault(name, full_size, request):
     known = () if full_size else campaign.open_faults
     found = [fault for result in results for fault in result.faults]
     assert [fault for fault in found if not any(one in fault for one in known)] == []
+
+
+def test_the_page_has_the_rows_of_each_campaign_or_its_open_faults_and_no_other_fault():
+    text = PAGE.read_text(encoding="utf-8")
+    results, runs = (page.parts(text, table)[1] for table in ("results", "runs"))
+    for name, campaign in CAMPAIGNS.items():
+        if campaign.open_faults:
+            assert f"Open faults of `{name}`:" in text
+        rows = results.count(f"\n| {name} | "), runs.count(f"\n| {name} | ")
+        assert (rows[0] > 0, rows[1]) == (not campaign.open_faults, not campaign.open_faults), name
+    assert f"within {batch.SECONDS} s and {batch.MEMORY >> 20} MB" in text
+    assert "faults**" not in text

@@ -25,6 +25,12 @@ print(found.samples, found.lost, resource.getrusage(resource.RUSAGE_SELF).ru_max
 """
 
 
+def measured(part, limit):
+    """Return samples, lost samples and the peak of a process that makes the run file of a journal."""
+    command = [sys.executable, "-c", MEASURE, str(part), str(part.with_suffix("")), str(limit)]
+    return [int(word) for word in subprocess.run(command, capture_output=True, check=True).stdout.split()]
+
+
 def assert_same(one, other, name=""):
     """Compare two values of dataclasses, arrays inside; a column counts as an array."""
     if is_dataclass(one):
@@ -71,10 +77,7 @@ def test_memory_does_not_grow_with_the_run(tmp_path):
             writer.append(journal.LOST, stamp + 1, b"gone")
             writer.append(journal.REOPENED, stamp + 2, b"back")
         writer.close()
-        limit = resource.getrlimit(resource.RLIMIT_AS)[1] if hundreds == 1 else 400 << 20
-        command = [sys.executable, "-c", MEASURE, str(part), str(tmp_path / f"{hundreds}.h5"), str(limit)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        peaks.append([int(word) for word in done.stdout.split()])
+        peaks.append(measured(part, 400 << 20 if hundreds == 5 else resource.getrlimit(resource.RLIMIT_AS)[1]))
     (few, _, small), (many, _, large) = peaks
     assert many > 4 * few
     assert large - small < 60
@@ -98,9 +101,7 @@ def test_memory_does_not_grow_with_the_lines(protocol, tmp_path):
             sent = b"".join(line % (row if protocol == "qsb" else row[::-1]) for row in rows)
             writer.append(journal.RECEIVED, 1_000_000_000 * (second + 2), b"x" * (second % 7 == 0) + sent)
         writer.close()
-        command = [sys.executable, "-c", MEASURE, str(part), str(tmp_path / f"{seconds}.h5"), str(2 << 30)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        peaks.append([int(word) for word in done.stdout.split()])
+        peaks.append(measured(part, 2 << 30))
     (few, _, small), (many, _, large) = peaks
     assert few > 0.99 * 512 * 400
     assert many > 3.9 * few

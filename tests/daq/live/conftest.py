@@ -1,8 +1,7 @@
 """Journals of recordings, kept after their run file was made."""
 
 import shutil
-from collections.abc import Callable
-from pathlib import Path
+from functools import cache
 
 import pytest
 
@@ -12,24 +11,33 @@ from daq.recorder.record import record
 from daq.runfile import journal
 
 
-@pytest.fixture
-def keep_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
-    """Return a function that records a simulated rig with changes and returns its journal, NAME.part.
-
-    The run file, NAME, is beside it.
-    """
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory):
+    """Return a function that records a simulated rig with changes, once, into a folder with run.h5 and its journal."""
     remove = journal.Writer.remove
-    kept = tmp_path / "kept.part"
 
-    def keep(writer: journal.Writer) -> None:
-        shutil.copy(writer.path, kept)
+    def keep(writer):
+        shutil.copy(writer.path, writer.path.with_name("kept"))
         remove(writer)
 
-    monkeypatch.setattr(journal.Writer, "remove", keep)
+    @cache
+    def make(*changes, duration_s=4.0):
+        folder = tmp_path_factory.mktemp("recorded")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(journal.Writer, "remove", keep)
+            record(RecordRequest(rig_port(None, list(changes), False), folder / "run.h5", duration_s=duration_s))
+        (folder / "kept").rename(folder / "run.h5.part")
+        return folder
 
-    def make(*changes: str, duration_s: float = 4.0) -> Path:
-        run = tmp_path / "run.h5"
-        record(RecordRequest(port=rig_port(None, list(changes), False), output=run, duration_s=duration_s))
-        return kept.rename(tmp_path / "run.h5.part")
+    return make
+
+
+@pytest.fixture
+def keep_journal(recorded, tmp_path):
+    """Return a function that gives the journal of such a recording, run.h5.part beside its run.h5."""
+
+    def make(*changes, duration_s=4.0):
+        shutil.copytree(recorded(*changes, duration_s=duration_s), tmp_path, dirs_exist_ok=True)
+        return tmp_path / "run.h5.part"
 
     return make

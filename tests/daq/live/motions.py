@@ -14,8 +14,6 @@ K_OVER_M, BELT, LEVER, KINETIC = 35.0, 0.22, 0.12, 0.6  # s^-2, m/s, m, of LEVER
 
 @dataclass(frozen=True)
 class StickSlipMotion:
-    """Times, positions, and the times of break-aways and landings."""
-
     time: np.ndarray
     x: np.ndarray
     break_aways: np.ndarray

@@ -16,33 +16,16 @@ from daq.live import publisher
 from daq.live.publisher import LiveRun
 from daq.runfile import journal
 
+from ...journals import HEADER
 from .motions import stick_slip
-
-HEADER = {
-    "protocol": "text",
-    "columns": "t_us,count",
-    "decoder": None,
-    "port": "/dev/ttyACM0",
-    "baud": 115200,
-    "rate_hz": 1000,
-    "samples": None,
-    "title": "a sketch",
-    "operator": "",
-    "wall_ns": 1_700_000_000_000_000_000,
-    "monotonic_ns": 0,
-    "utc_offset_s": 0,
-    "warnings": [],
-    "provenance": {},
-}
 
 
 def lines(first: int, n: int) -> bytes:
     return b"".join(b"%d,%d\n" % (1000 * k, round(4000 * np.sin(k / 200))) for k in range(first, first + n))
 
 
-def last(run: LiveRun) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(run._events[-1].data)
-    return found
+def told(run: LiveRun) -> list[dict[str, Any]]:
+    return [json.loads(event.data) for event in run._events]
 
 
 @pytest.fixture
@@ -52,53 +35,52 @@ def writer(tmp_path: Path) -> Iterator[journal.Writer]:
     made.abandon()
 
 
+@pytest.fixture
+def look(writer: journal.Writer) -> Callable[..., dict[str, Any]]:
+    """Return a function that writes records, and gives the last event that pages are told of them."""
+
+    def look(run: LiveRun, *records: tuple[int, float, bytes]) -> dict[str, Any]:
+        for kind, second, content in records:
+            writer.append(kind, round(1e9 * second), content)
+        writer.sync()
+        run.look()
+        return told(run)[-1]
+
+    return look
+
+
 def test_a_board_that_loses_samples_is_called_out(keep_journal: Callable[..., Path]) -> None:
     run = LiveRun(keep_journal("gaps.rate=2", "gaps.duration=0.05"))
     run.look()
-    told = [json.loads(event.data) for event in run._events]
-    lost = told[0]["counts"]["lost"]
-    assert lost > 50
-    assert told[0]["trouble"] == f"the board loses samples: {lost} in the last 10 s"
+    first = told(run)[0]
+    assert first["counts"]["lost"] > 50
+    assert first["trouble"] == f"the board loses samples: {first['counts']['lost']} in the last 10 s"
 
 
-def test_a_loss_of_samples_is_called_out_for_ten_seconds(writer: journal.Writer) -> None:
+def test_a_loss_of_samples_is_called_out_for_ten_seconds(writer: journal.Writer, look: Any) -> None:
     run = LiveRun(writer.path)
     before = 0
-    for second, lost, trouble in (
-        (1, 3, "3 in the last 10 s"),
-        (8, 2, "5 in the last 10 s"),
-        (12, 0, "2 in the"),
-        (25, 0, ""),
-    ):
+    rows = (1, 3, "3 in the last 10 s"), (8, 2, "5 in the last 10 s"), (12, 0, "2 in the"), (25, 0, "")
+    for second, lost, trouble in rows:
         run.tail.counts.lost += lost
-        writer.append(journal.RECEIVED, second * 1_000_000_000, lines(1000 * before, 1000 * (second - before)))
-        writer.sync()
-        run.look()
+        said = look(run, (journal.RECEIVED, second, lines(1000 * before, 1000 * (second - before))))["trouble"]
         before = second
-        assert trouble in last(run)["trouble"]
-        assert bool(last(run)["trouble"]) == bool(trouble)
+        assert trouble in said
+        assert bool(said) == bool(trouble)
 
 
-def test_a_lost_port_and_a_silent_board_are_called_out(writer: journal.Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_port_and_a_silent_board_are_called_out(
+    writer: journal.Writer, look: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = LiveRun(writer.path)
-    writer.append(journal.RECEIVED, 1_000_000_000, lines(0, 1000))
-    writer.sync()
-    run.look()
-    clock = [run._last_new]
-    monkeypatch.setattr(publisher.time, "monotonic", lambda: clock[0])
-    clock[0] += 5.0
-    run.look()
-    assert last(run)["trouble"] == "no sample for 5 s"
-    writer.append(journal.LOST, 6_000_000_000, b"unplugged")
-    writer.sync()
-    run.look()
-    assert last(run)["trouble"] == "the port was lost (unplugged): the recorder waits for it"
-    writer.append(journal.REOPENED, 7_000_000_000, b"/dev/ttyACM0")
-    writer.append(journal.RECEIVED, 8_000_000_000, lines(1000, 1000))
-    writer.sync()
-    run.look()
-    assert last(run)["trouble"] == ""
-    assert not run.ended
+    look(run, (journal.RECEIVED, 1, lines(0, 1000)))
+    clock = run._last_new + 5.0
+    monkeypatch.setattr(publisher.time, "monotonic", lambda: clock)
+    assert look(run)["trouble"] == "no sample for 5 s"
+    lost = look(run, (journal.LOST, 6, b"unplugged"))
+    assert lost["trouble"] == "the port was lost (unplugged): the recorder waits for it"
+    again = look(run, (journal.REOPENED, 7, b"/dev/ttyACM0"), (journal.RECEIVED, 8, lines(1000, 1000)))
+    assert (again["trouble"], run.ended) == ("", "")
 
 
 def test_a_recorder_that_is_gone_ends_the_view(writer: journal.Writer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,14 +128,11 @@ def test_an_hour_takes_no_more_memory_than_some_minutes_and_can_be_looked_at_aga
     assert (min(everything["x"]), max(everything["x"])) == (-4000, 4000)
 
 
-def test_what_nothing_connects_is_told_with_a_row_without_a_position(writer: journal.Writer) -> None:
+def test_what_nothing_connects_is_told_with_a_row_without_a_position(writer: journal.Writer, look: Any) -> None:
     run = LiveRun(writer.path)
     for first, stop in ((0, 1500), (2000, 3000), (3000, 4000)):
-        writer.append(journal.RECEIVED, stop * 1_000_000, lines(first, stop - first))
-        writer.sync()
-        run.look()
-    told = [json.loads(event.data) for event in run._events]
-    t, x = (np.array([value for event in told for value in event[name]], float) for name in "tx")
+        look(run, (journal.RECEIVED, stop / 1000, lines(first, stop - first)))
+    t, x = (np.array([value for event in told(run) for value in event[name]], float) for name in "tx")
     (hole,) = np.flatnonzero(np.isnan(x))
     assert t[hole - 1] < t[hole] < t[hole + 1] == pytest.approx(t[hole - 1] + 0.501)
     assert np.all(np.diff(t) > 0)
@@ -169,20 +148,14 @@ def test_blocks_of_a_program_are_analysed_and_can_be_looked_at_again(tmp_path: P
     finish = journal.Writer.remove
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(journal.Writer, "remove", lambda self: (shutil.copy(self.path, kept), finish(self))[1])
-        cuts = range(0, motion.time.size, 250)
-        daq.record(
-            ((motion.time[k : k + 250], motion.x[k : k + 250]) for k in cuts),
-            tmp_path / "run.h5",
-            rate_hz=1000,
-            mass=0.5,
-        )
+        blocks = ((motion.time[k : k + 250], motion.x[k : k + 250]) for k in range(0, motion.time.size, 250))
+        daq.record(blocks, tmp_path / "run.h5", rate_hz=1000, mass=0.5)
     run = LiveRun(kept)
     run.look()
     assert run.ended == "the recording has ended: complete"
-    told = [json.loads(event.data) for event in run._events]
-    assert told[0]["unit"] == "m"
-    assert told[0]["summary"]["cycles"] >= 5
-    assert told[0]["summary"]["balance"]["mass"] == 0.5
+    first = told(run)[0]
+    assert (first["unit"], first["summary"]["balance"]["mass"]) == ("m", 0.5)
+    assert first["summary"]["cycles"] >= 5
     found = json.loads(run.stretch(2.0, 3.0))
     own = (motion.time >= 2.0 - 1e-9) & (motion.time <= 3.0)
     np.testing.assert_allclose(found["x"], motion.x[own], rtol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 import daq
 from daq.live.analysis import FEW_CYCLES, FEWEST_CYCLES, LiveAnalysis, advise
 from daq.live.finished import RunSamples
-from daq.live.sticks import Spread, find_usual_speed
+from daq.live.sticks import find_usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
 from fitting import noise_levels
@@ -52,15 +52,9 @@ def test_statistics_are_those_of_process_smooth(law: int) -> None:
     live = analysed(run.time, run.position, run.rate_hz, run.rig)
     smoothed = from_kinematics(smooth(run))
     found = live.summarise()["statistics"]
-    for name, other, most in (
-        ("stick_s", "stick_s", 0.06),
-        ("slip_s", "slip_s", 0.03),
-        ("break_away", "break_away_m", 0.04),
-    ):
-        truth = smoothed.summary(other)
-        assert truth is not None
-        assert found[name]["mean"] == pytest.approx(truth["mean"], rel=most)
-    assert found["drop"]["mean"] == pytest.approx(smoothed.summary("drop_m")["mean"], rel=0.01)  # type: ignore[index]
+    rows = ("stick_s", "stick_s", 0.06), ("slip_s", "slip_s", 0.03), ("break_away", "break_away_m", 0.04)
+    for name, other, most in (*rows, ("drop", "drop_m", 0.01)):
+        assert found[name]["mean"] == pytest.approx(smoothed.summary(other)["mean"], rel=most)
     assert smoothed.slips - 2 <= live.cycles <= smoothed.slips
 
 
@@ -140,15 +134,6 @@ def test_the_usual_speed_of_slow_counts_is_found_over_a_longer_span(count: float
     t = np.arange(20_000) / 1000
     x = count * np.round(3e-4 * t / count)
     assert find_usual_speed(t, x, 21) == pytest.approx(3e-4, rel=0.1)
-
-
-def test_the_spread_is_that_of_numpy() -> None:
-    values = np.random.default_rng(7).normal(3, 2, 57)
-    of = Spread()
-    for value in values:
-        of.add(value)
-    assert (of.n, of.last, of.low, of.high) == (57, values[-1], values.min(), values.max())
-    assert (of.mean, of.sd) == pytest.approx((values.mean(), values.std(ddof=1)), rel=1e-12)
 
 
 def test_the_least_number_of_cycles_is_that_of_the_fit() -> None:

@@ -2,10 +2,12 @@
 
 import errno
 import os
+import socket
 import sys
 from dataclasses import replace
 
 import pytest
+import serial
 
 from daq.protocols import link_budget
 from daq.protocols.frames import Frames
@@ -21,7 +23,7 @@ BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 
 RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))
 
 
-def check(board, rig, rate_hz, block, baud):
+def check(rate_hz, block, baud=None, board=BOARD, rig=RIG):
     plan = Plan(rate_hz, block, link_budget.compute_load(board, rate_hz, block))
     return link_budget.check(board, rig, plan, baud)
 
@@ -34,11 +36,6 @@ def test_a_missing_port_is_named_with_what_is_there():
     assert "connect the board" in caught.value.do
 
 
-def test_an_unknown_kind_of_url_is_bad_input():
-    with pytest.raises(InputError, match="rig://SCENE"):
-        ports.open_port("morse://7")
-
-
 def test_a_url_writes_to_no_file(tmp_path):
     other = tmp_path / "thesis.txt"
     other.write_text("three years of work")
@@ -48,23 +45,31 @@ def test_a_url_writes_to_no_file(tmp_path):
     assert other.read_text() == "three years of work"
 
 
-def test_an_unknown_setting_in_a_url_is_bad_input():
-    with pytest.raises(InputError, match="cannot open such a port"):  # a KeyError was a traceback
-        ports.open_port("loop://?logging=x")
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("morse://7", "rig://SCENE"),
+        ("loop://?logging=x", "cannot open such a port"),  # a KeyError was a traceback
+        ("rig://rig?set=friction.lew%3D3", "friction"),
+    ],
+)
+def test_what_is_wrong_in_a_url_is_bad_input(url, words):
+    with pytest.raises(InputError, match=words):
+        ports.open_port(url)
 
 
-def test_a_wrong_scene_reaches_the_user_as_its_own_error():
-    with pytest.raises(InputError, match="friction"):
-        ports.open_port("rig://rig?set=friction.lew%3D3")
-
-
-def test_a_port_without_permission_says_the_command_that_helps(tmp_path):
+@pytest.mark.parametrize(
+    ("error", "said", "cure"),
+    [
+        (PermissionError(errno.EACCES, "Permission denied"), "permission", "run 'sudo "),
+        (OSError(errno.EBUSY, "Device or resource busy"), "another program", "close"),
+    ],
+)
+def test_a_port_that_is_there_and_refused_is_named_with_the_cure(tmp_path, error, said, cure):
     device = tmp_path / "ttyACM0"
     device.touch()
-    what, where, do = ports.explain_refusal(str(device), PermissionError(errno.EACCES, "Permission denied"))
-    assert "permission" in what
-    assert where == str(device)
-    assert do.startswith("run 'sudo ")
+    what, where, do = ports.explain_refusal(str(device), error)
+    assert (said in what, where, cure in do) == (True, str(device), True)
 
 
 @pytest.mark.parametrize(("mode", "command"), [(0o660, "usermod -a -G dialout"), (0o600, "chmod a+rw")])
@@ -75,12 +80,6 @@ def test_the_group_is_the_cure_only_where_it_has_the_right(tmp_path, monkeypatch
     device.chmod(mode)
     monkeypatch.setattr(grp, "getgrgid", lambda gid: type("Group", (), {"gr_name": "dialout"}))
     assert command in ports.permission_fix(device)
-
-
-def test_a_busy_port_is_not_a_missing_one():
-    what, _, do = ports.explain_refusal("/dev/null", OSError(errno.EBUSY, "Device or resource busy"))
-    assert "another program" in what
-    assert "close" in do
 
 
 def test_the_simulated_rig_is_always_listed():
@@ -98,50 +97,44 @@ def test_the_simulated_rig_is_always_listed():
 def test_the_rigs_url_carries_scene_and_changes(scene, changes, realtime, url):
     assert ports.rig_url(scene, changes, realtime) == url
     assert ports.waits_for_reader(url) is not realtime
-
-
-def test_only_the_rig_out_of_real_time_waits_for_its_reader():
-    assert not ports.waits_for_reader("/dev/ttyACM0")
-    assert not ports.waits_for_reader("socket://rig:1")
+    assert not any(map(ports.waits_for_reader, ("/dev/ttyACM0", "socket://rig:1")))
 
 
 def test_1_khz_in_blocks_fits_115200_baud_and_is_8875_bytes_a_second():
     assert link_budget.choose_block_size(BOARD, 1000) == 8
     assert link_budget.compute_load(BOARD, 1000, 8) == 8875
-    assert check(BOARD, RIG, 1000, 8, 115_200) == []
 
 
-def test_1_khz_in_single_frames_does_not_fit_and_says_what_would():
-    with pytest.raises(
-        InputError, match=r"22000 bytes/s, and 115200 baud can transfer 11520; give rate_hz=523 or less"
-    ):
-        check(BOARD, RIG, 1000, 1, 115_200)
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ((1000, 8, 115_200), None),
+        ((5000, 8, None), None),  # a line without a baud rate has no such limit
+        ((500, 1, 115_200), "11000 bytes/s"),
+        # a slip that would outrun the decoder
+        ((1000, 8, None, replace(BOARD, max_edge_rate_hz=80_000)), "114733 edges/s"),
+    ],
+)
+def test_what_a_line_carries_is_recorded_with_a_warning_where_it_is_tight(what, said):
+    warnings = check(*what)
+    assert len(warnings) == (said is not None)
+    assert said is None or said in warnings[0]
 
 
-def test_500_hz_in_single_frames_is_tight():
-    warnings = check(BOARD, RIG, 500, 1, 115_200)
-    assert len(warnings) == 1
-    assert "11000 bytes/s" in warnings[0]
+FAST = replace(RIG, metres_per_count=Measured(7.67e-9))
 
 
-def test_a_line_without_a_baud_rate_has_no_such_limit():
-    assert check(BOARD, RIG, 5000, 8, None) == []
-
-
-def test_more_than_the_board_samples_is_refused_with_its_limit():
-    with pytest.raises(InputError, match="5000"):
-        check(BOARD, RIG, 6000, 8, None)
-
-
-def test_a_slip_that_would_outrun_the_decoder_is_warned_about():
-    warnings = check(replace(BOARD, max_edge_rate_hz=80_000), RIG, 1000, 8, None)
-    assert "114733 edges/s" in warnings[0]
-
-
-def test_a_rate_at_which_counters_roll_over_unseen_is_refused():
-    fast = replace(RIG, metres_per_count=Measured(7.67e-9))
-    with pytest.raises(InputError, match="roll over"):
-        check(replace(BOARD, max_edge_rate_hz=0), fast, 1000, 8, None)
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ((1000, 1, 115_200), r"22000 bytes/s, and 115200 baud can transfer 11520; give rate_hz=523 or less"),
+        ((6000, 8), "5000"),  # more than the board samples
+        ((1000, 8, None, replace(BOARD, max_edge_rate_hz=0), FAST), "roll over"),
+    ],
+)
+def test_what_cannot_be_carried_or_counted_is_refused_with_the_limit(what, said):
+    with pytest.raises(InputError, match=said):
+        check(*what)
 
 
 def test_slow_rates_are_sent_in_single_frames():
@@ -150,8 +143,6 @@ def test_slow_rates_are_sent_in_single_frames():
 
 
 def test_a_usb_serial_driver_is_asked_for_low_latency_and_may_say_no(monkeypatch):
-    import serial
-
     asked = []
 
     class Port:
@@ -180,8 +171,6 @@ def test_lines_that_come_already_are_not_refused_for_a_baud_rate_that_is_only_a_
 
 def test_a_socket_that_does_not_say_how_many_bytes_wait_is_read_in_large_pieces():
     """Pyserial's sockets say 1 for some: read byte by byte, with a pause between reads, they could not keep up."""
-    import socket
-
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = ports.open_port(f"socket://127.0.0.1:{server.getsockname()[1]}")
         peer, _ = server.accept()

@@ -1,7 +1,7 @@
 """The belt's counts: unwrapped like every counter, made a speed by the calibration, and in the file only when sent."""
 
+import re
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import daq
+from daq.cli.app import app
+from daq.imports import replay
 from daq.protocols import link_budget
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan
@@ -17,12 +19,14 @@ from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import belt_counter, store
 from daq.runfile.rig import Rig
-from daq.stream.integrity import CheckedCounts, CountCheck, CountSurvey
 from daq.stream.timeline import Samples
 from daq.wire import counters
 from daq.wire.frames import Capability, Ident
+from rig_sim.board import board
 from stickslip.errors import InputError
 from stickslip.units import Measured
+
+from ..samples import check_counts, make_samples
 
 DELTA = 0.12566 / 4096 / 4
 
@@ -55,53 +59,28 @@ def test_the_speed_is_the_mean_over_its_span_and_knows_no_other_segment() -> Non
 
 def samples(belt_column: np.ndarray | None, gap_s: float) -> Samples:
     """Return 400 samples at 1 kHz of a slow mass, with a gap in the middle."""
-    n = 400
-    lost = round(gap_s * 1000) - 1
-    index = np.arange(n) + np.where(np.arange(n) >= 200, lost, 0)
-    still, slow = np.zeros(n, np.uint16), index.astype(np.uint16)
-    return Samples(
-        time=index / 1000,
-        part=np.zeros(n, np.int64),
-        begun_by=("reopened",),
-        index=index,
-        ticks=index * 1000,
-        frame=np.arange(n) // 8,
-        stamp_ns=index * 1_000_000,
-        up=slow,
-        down=still,
-        status=np.zeros(n, np.uint8),
-        illegal=still,
-        belt=None if belt_column is None else (belt_column[index] & 0xFFFF).astype(np.uint16),
-        edge=None,
-        source=np.zeros(n, np.int64),
-        place=index,
-    )
-
-
-def check(samples: Samples) -> CheckedCounts:
-    survey = CountSurvey([None], Rig().counter_bits, 1000.0, starts_at_phase=True)
-    survey.take(samples)
-    return CountCheck(survey, Rig()).take(samples)
+    index = np.arange(400) + np.where(np.arange(400) >= 200, round(gap_s * 1000) - 1, 0)
+    belt = None if belt_column is None else (belt_column[index] & 0xFFFF).astype(np.uint16)
+    return make_samples(index, up=index.astype(np.uint16), belt=belt)
 
 
 def test_a_gap_the_belts_counter_may_have_gone_round_in_is_not_joined() -> None:
     run = 29 * np.arange(5000)
-    assert len(check(samples(None, 0.8)).starts) == 1
-    short, long = (check(samples(run, gap)) for gap in (0.3, 0.8))
+    assert len(check_counts(samples(None, 0.8)).starts) == 1
+    short, long = (check_counts(samples(run, gap)) for gap in (0.3, 0.8))
     assert short.starts.tolist() == [0]
     sent = samples(run, 0.3).belt
-    assert sent is not None
     assert belt_counter.unwrap_count(sent, 16, short.starts)[-1] == 29 * 698
     assert long.starts.tolist() == [0, 200]
     assert long.reasons[1] == "invalid"
 
 
 def test_a_rate_too_slow_for_the_belts_counter_is_refused_before_the_run() -> None:
-    board = Ident((1, 0, 0), "x4", Capability.BELT, 16, 1000, 1, 5000, 0, "board")
+    ident = Ident((1, 0, 0), "x4", Capability.BELT, 16, 1000, 1, 5000, 0, "board")
     fine = Rig(metres_per_count=Measured(1e-4), belt_speed=Measured(0.22), belt_metres_per_count=Measured(1e-6))
     with pytest.raises(InputError, match="roll over"):
-        link_budget.check(board, fine, Plan(10.0, 1, 0.0), None)
-    assert link_budget.check(board, fine, Plan(20.0, 1, 0.0), None) == []
+        link_budget.check(ident, fine, Plan(10.0, 1, 0.0), None)
+    assert link_budget.check(ident, fine, Plan(20.0, 1, 0.0), None) == []
 
 
 def recorded(path: Path, *changes: str, duration: float = 8.0) -> daq.Recording:
@@ -111,18 +90,12 @@ def recorded(path: Path, *changes: str, duration: float = 8.0) -> daq.Recording:
 
 def test_a_recorded_belt_is_the_simulated_one_through_every_roll_over(tmp_path: Path) -> None:
     run = recorded(tmp_path / "run.h5", "belt.channel=true", "tell.truth=true")
-    assert run.raw is not None
-    assert run.raw.belt_count is not None
     assert run.raw.belt_count.dtype == np.uint16
     assert (np.diff(run.raw.belt_count.astype(int)) < 0).sum() == 3
-    assert run.belt_count is not None
     truth = store.truth(tmp_path / "run.h5")
-    assert truth is not None
     np.testing.assert_array_equal(
         run.belt_count, np.floor(0.22 * np.maximum(truth.time - 0.5, 0) / DELTA + 1e-6).astype(int)
     )
-    assert run.belt_velocity is not None
-    assert run.rig.belt_metres_per_count is not None
     running = run.time > 0.52
     np.testing.assert_allclose(run.belt_velocity[running], 0.22, atol=2 * DELTA / 0.02 + 4 * 2e-4 * 0.22)
     assert not run.belt_velocity[run.time < 0.48].any()
@@ -133,9 +106,6 @@ def test_a_drooping_belt_slows_during_stick_by_its_fraction_and_a_backward_one_t
         path = tmp_path / f"{sign}.h5"
         changes = ("belt.channel=true", "droop.fraction=0.05", "tell.truth=true", f"belt.speed={sign * 0.22}")
         run, truth = recorded(path, *changes), store.truth(path)
-        assert truth is not None
-        assert run.belt_velocity is not None
-        assert run.rig.belt_metres_per_count is not None
         speed = sign * run.belt_velocity * DELTA / run.rig.belt_metres_per_count.value
         sticking = np.abs(truth.v - sign * 0.22 * (1 - 0.05 * sign * truth.F / 1.379353536)) < 1e-3 * 0.22
         late = np.convolve(sticking, np.ones(21), "same") == 21  # of the span of a difference
@@ -147,13 +117,10 @@ def test_a_drooping_belt_slows_during_stick_by_its_fraction_and_a_backward_one_t
         assert slope == pytest.approx(-0.05, abs=5e-3)
 
 
-def test_without_a_channel_the_file_holds_nothing_of_it(tmp_path: Path) -> None:
-    plain, counted = (
-        recorded(tmp_path / "plain.h5", duration=1.0),
-        recorded(tmp_path / "counted.h5", "belt.channel=true", duration=1.0),
-    )
-    assert plain.belt_count is None
-    assert plain.belt_velocity is None
+def test_without_a_channel_the_file_holds_nothing_of_it_and_with_one_an_export_its_speed(tmp_path: Path) -> None:
+    plain = recorded(tmp_path / "plain.h5", duration=1.0)
+    counted = recorded(tmp_path / "counted.h5", "belt.channel=true", duration=1.0)
+    assert (plain.belt_count, plain.belt_velocity) == (None, None)
     assert plain.rig == counted.rig.__class__(**{**vars(counted.rig), "belt_metres_per_count": None})
     names: list[set[str]] = []
     for path in (tmp_path / "plain.h5", tmp_path / "counted.h5"):
@@ -172,25 +139,20 @@ def test_without_a_channel_the_file_holds_nothing_of_it(tmp_path: Path) -> None:
         log = file[f"{belt_group}/value_log"]
         assert (log["value"].attrs["units"], log["raw_value"].attrs["units"]) == ("m/s", "count")
         np.testing.assert_array_equal(log["time"][()], file["entry/instrument/encoder/value_log/time"][()])
+    app(["export", str(tmp_path / "counted.h5"), "--csv", str(tmp_path / "run.csv"), "--json"])
+    table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(table["belt_velocity_m_per_s"], counted.belt_velocity)
 
 
 def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rig_sim.board import board
-
     known = board.format_calibration
-
-    def unknown(*arguments: Any) -> str:
-        return "".join(line for line in known(*arguments).splitlines(True) if not line.startswith("belt_metres"))
-
-    monkeypatch.setattr(board, "format_calibration", unknown)
+    monkeypatch.setattr(board, "format_calibration", lambda *of: re.sub("belt_metres.*\n", "", known(*of)))
     path = tmp_path / "run.h5"
     found = record(RecordRequest(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
     run = store.load(path)
     assert any("no metres per belt count" in warning for warning in found.warnings)
-    assert run.raw is not None
-    assert run.raw.belt_count is not None
     assert run.raw.belt_count.any()
     assert run.belt_count is None
     assert run.belt_velocity is None
@@ -203,26 +165,13 @@ def test_the_calibration_of_the_belts_encoder_reads_back_and_is_checked() -> Non
         Rig.from_toml("[encoder]\nbelt_metres_per_count = 0.0\n", "rig.toml")
 
 
-def test_an_export_carries_the_belts_speed(tmp_path: Path) -> None:
-    from daq.cli.app import app
-
-    run = recorded(tmp_path / "run.h5", "belt.channel=true", duration=1.0)
-    app(["export", str(tmp_path / "run.h5"), "--csv", str(tmp_path / "run.csv"), "--json"])
-    table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
-    np.testing.assert_array_equal(table["belt_velocity_m_per_s"], run.belt_velocity)
-
-
 def test_a_replayed_run_has_its_belt_and_another_calibration_gives_it_another_speed(tmp_path: Path) -> None:
-    from daq.imports import replay
-
     first = recorded(tmp_path / "run.h5", "belt.channel=true", "gaps.rate=0.4", "gaps.duration=0.7")
     assert len(set(first.segment.tolist())) > 1
     again = replay.decode_run(tmp_path / "run.h5")
     np.testing.assert_array_equal(again.belt_count, first.belt_count)
     np.testing.assert_array_equal(again.belt_velocity, first.belt_velocity)
     halved = replay.recalibrate(again, Rig(belt_metres_per_count=Measured(-DELTA / 2)))
-    assert first.belt_velocity is not None
-    assert first.rig.belt_metres_per_count is not None
     scale = -DELTA / 2 / first.rig.belt_metres_per_count.value
     np.testing.assert_allclose(halved.belt_velocity, scale * first.belt_velocity, rtol=1e-12)
     unknown = replay.recalibrate(again, Rig())

@@ -5,6 +5,8 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -61,15 +63,12 @@ def test_a_run_loads_with_the_same_content(files: Path, name: str) -> None:
     if wanted["belt"] is None:
         assert run.belt_count is None
     else:
-        assert run.belt_count is not None
-        assert run.belt_velocity is not None
         assert run.belt_count[-1] == wanted["belt"][0]
         assert float(run.belt_velocity.sum()) == pytest.approx(wanted["belt"][1], rel=1e-9)
 
 
 def test_the_truth_of_a_simulated_run_is_read(files: Path) -> None:
     truth, wanted = store.truth(files / "simulated.h5"), NUMBERS["simulated"]["truth"]
-    assert truth is not None
     assert (truth.time.size, truth.scene) == (wanted["samples"], wanted["scene"])
     for name in ("x", "v", "F"):
         assert float(getattr(truth, name).sum()) == pytest.approx(wanted[name], rel=1e-12)
@@ -78,16 +77,20 @@ def test_the_truth_of_a_simulated_run_is_read(files: Path) -> None:
 
 def test_the_stored_smoothing_is_read(files: Path) -> None:
     motion, wanted = stage.load(files / "simulated.h5"), NUMBERS["simulated"]["smooth"]
-    assert motion is not None
     assert (motion.method, motion.window, motion.order) == (wanted["method"], wanted["window"], wanted["order"])
     assert motion.belt_speed == wanted["belt_speed"]
     assert [[phase.kind, phase.start, phase.end] for phase in motion.phases] == wanted["phases"]
     assert daq.load(files / "simulated.h5").default == "fit"
 
 
+@pytest.fixture(scope="module")
+def smoothed(files: Path) -> Callable[[str], processing.Kinematics]:
+    return cache(lambda name: processing.smooth(daq.load(files / f"{name}.h5")))
+
+
 @pytest.mark.parametrize("name", list(NUMBERS))
-def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
-    motion, wanted = processing.smooth(daq.load(files / f"{name}.h5")), NUMBERS[name]["motion"]
+def test_a_run_smooths_to_the_same_motion(smoothed: Callable[[str], processing.Kinematics], name: str) -> None:
+    motion, wanted = smoothed(name), NUMBERS[name]["motion"]
     assert motion.method == wanted["method"]
     assert sum(phase.kind == "stick" for phase in motion.phases) == wanted["sticks"]
     # Landings lie elsewhere by parts of a sample, where the acceleration jumps; at some the mass overtakes the belt.
@@ -96,18 +99,19 @@ def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
     assert float(np.sqrt(np.mean(motion.acceleration**2))) == pytest.approx(wanted["rms_acceleration"], rel=2e-3)
 
 
-def test_a_simulated_run_smooths_to_its_true_velocity(files: Path) -> None:
-    motion, truth = processing.smooth(daq.load(files / "simulated.h5")), store.truth(files / "simulated.h5")
-    assert truth is not None
+def test_a_simulated_run_smooths_to_its_true_velocity(
+    files: Path, smoothed: Callable[[str], processing.Kinematics]
+) -> None:
+    motion, truth = smoothed("simulated"), store.truth(files / "simulated.h5")
     error = motion.velocity - np.interp(motion.time, truth.time, truth.v)
     assert float(np.sqrt(np.mean(error**2))) < 0.2e-3
 
 
 @pytest.mark.usefixtures("asked_law_alone")
 @pytest.mark.parametrize("name", ["simulated", "imported"])
-def test_a_run_fits_with_the_same_parameters(files: Path, name: str) -> None:
+def test_a_run_fits_with_the_same_parameters(smoothed: Callable[[str], processing.Kinematics], name: str) -> None:
     wanted: Any = NUMBERS[name]["fit"]
-    found = fitting.rank(processing.smooth(daq.load(files / f"{name}.h5")), laws=wanted["laws"])
+    found = fitting.rank(smoothed(name), laws=wanted["laws"])
     # Evidence counts effective samples, where it counted cycles: a set can be smaller.
     assert found.laws_in_set[0] == wanted["set"][0]
     assert set(found.laws_in_set) <= set(wanted["set"])

@@ -79,12 +79,9 @@ def test_positions_of_a_belt_become_counts_of_their_last_decimal():
     np.testing.assert_allclose(found.belt_count * 1e-5, belt, atol=1e-12)
     np.testing.assert_allclose(found.belt_velocity, 0.0513, atol=1e-3)
     assert run(belt_position=0.05 * TIME + 1e-7 * X).rig.belt_metres_per_count == Measured(1e-9)
-    assert [find_last_decimal(np.array([0.0, value])) for value in (3.0, 0.25, 0.0012)] == [1.0, 0.01, 1e-4]
-
-
-def test_a_belt_that_was_measured_is_used_by_the_smoothing():
     motion = processing.smooth(run(belt_position=0.05 * TIME))
     np.testing.assert_allclose(motion.belt_velocity[100:-100], 0.05, atol=1e-6)
+    assert [find_last_decimal(np.array([0.0, value])) for value in (3.0, 0.25, 0.0012)] == [1.0, 0.01, 1e-4]
 
 
 def test_a_run_of_arrays_is_saved_and_loaded_as_it_was(tmp_path):
@@ -141,27 +138,22 @@ def test_a_wrong_array_or_quantity_is_named_with_what_to_do(columns, changes, wo
 
 
 @pytest.mark.parametrize(
-    ("arguments", "changes", "words"),
+    ("arguments", "words"),
     [
-        ((TIME,), {}, "a ndarray and no position; give a run, a file or two arrays: processing.smooth(time, position)"),
-        ((run(), X), {}, "a position beside a run, which has its own; give the run alone"),
-        (("no.h5",), {}, "no.h5: no such file"),
+        ((TIME,), "a ndarray and no position; give a run, a file or two arrays: processing.smooth(time, position)"),
+        ((run(), X), "a position beside a run, which has its own; give the run alone"),
+        (("no.h5",), "no.h5: no such file"),
     ],
 )
-def test_smoothing_says_which_call_to_make(arguments, changes, words):
+def test_smoothing_says_which_call_to_make(arguments, words):
     with pytest.raises(InputError, match=re.escape(words)):
-        processing.smooth(*arguments, **changes)
+        processing.smooth(*arguments)
 
 
-def test_arrays_are_smoothed_as_their_run_is():
-    by_run = processing.smooth(run(), method="rts")
-    by_arrays = processing.smooth(TIME, X, method="rts")
-    np.testing.assert_array_equal(by_arrays.velocity, by_run.velocity)
-
-
-def test_a_file_is_smoothed_by_its_name(tmp_path):
+def test_arrays_and_files_are_smoothed_as_their_run_is(tmp_path):
     run().save(tmp_path / "run.h5")
     np.savetxt(tmp_path / "run.csv", np.c_[TIME, X], delimiter=",", header="t (s),x (m)", comments="")
     velocity = processing.smooth(run(), method="rts").velocity
+    np.testing.assert_array_equal(processing.smooth(TIME, X, method="rts").velocity, velocity)
     for name in ("run.h5", "run.csv"):
         np.testing.assert_allclose(processing.smooth(tmp_path / name, method="rts").velocity, velocity, rtol=1e-9)

@@ -4,15 +4,14 @@ import os
 import shutil
 import stat
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from daq.runfile import journal
 from stickslip.errors import InputError
 
-HEADER = {"protocol": "frames", "rate_hz": 1000}
+from ...journals import HEADER, write_journal
+
 RECORDS = [
     (journal.RECEIVED, 10, b"abc"),
     (journal.LOST, 20, b"unplugged"),
@@ -24,23 +23,20 @@ RECORDS = [
 
 @pytest.fixture
 def written(tmp_path):
-    path = tmp_path / "run.h5.part"
-    writer = journal.Writer(path, HEADER)
-    for record in RECORDS:
-        writer.append(*record)
-    writer.close()
-    return path
+    return write_journal(tmp_path / "run.h5.part", RECORDS)
 
 
 def as_tuples(read):
     return [(record.kind, record.stamp_ns, record.data) for record in read.records]
 
 
-def test_what_is_written_is_read(written):
+def test_what_is_written_is_read_and_never_overwritten(written):
     read = journal.read(written)
-    assert read.header == HEADER
-    assert as_tuples(read) == RECORDS
-    assert read.lost_tail == 0
+    assert (read.header, as_tuples(read), read.lost_tail) == (HEADER, RECORDS, 0)
+    before = written.read_bytes()
+    with pytest.raises(FileExistsError):
+        journal.Writer(written, HEADER)
+    assert written.read_bytes() == before
 
 
 def test_cut_at_every_byte_it_gives_the_records_before_the_cut(written):
@@ -68,9 +64,7 @@ def test_cut_at_every_byte_it_gives_the_records_before_the_cut(written):
 def test_a_tail_of_another_kind_is_left_out(written, tail):
     written.write_bytes(written.read_bytes() + tail)
     read = journal.read(written)
-    assert as_tuples(read) == RECORDS
-    assert read.lost_tail == 0
-    assert read.damaged == len(tail)
+    assert (as_tuples(read), read.lost_tail, read.damaged) == (RECORDS, 0, len(tail))
 
 
 @pytest.mark.parametrize("number", range(len(RECORDS)))
@@ -95,13 +89,6 @@ def test_received_bytes_of_a_damaged_record_are_kept_for_their_frames(written):
     assert journal.read(written).damaged == 13 + 256 + 4
 
 
-def test_a_journal_is_never_overwritten(written):
-    before = written.read_bytes()
-    with pytest.raises(FileExistsError):
-        journal.Writer(written, HEADER)
-    assert written.read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("content", "said"),
     [
@@ -113,14 +100,11 @@ def test_a_journal_is_never_overwritten(written):
 )
 def test_what_is_no_journal_is_refused(tmp_path, content, said):
     path = tmp_path / "x.h5.part"
+    with pytest.raises(InputError, match=r"x\.h5\.part: no such journal"):
+        journal.read(path)
     path.write_bytes(content)
     with pytest.raises(InputError, match=said):
         journal.read(path)
-
-
-def test_a_missing_journal_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"nothing\.part: no such journal"):
-        journal.read(tmp_path / "nothing.part")
 
 
 def test_markers_are_read_in_order_and_torn_lines_left_out(tmp_path):
@@ -151,11 +135,7 @@ def test_one_wrong_byte_in_the_header_costs_nothing(written, version):
 
 
 def test_the_header_comes_again_so_that_the_loss_of_the_beginning_costs_only_that(tmp_path):
-    path = tmp_path / "run.h5.part"
-    writer = journal.Writer(path, HEADER)
-    for stamp in range(200):
-        writer.append(journal.RECEIVED, stamp, bytes(1000))
-    writer.close()
+    path = write_journal(tmp_path / "run.h5.part", [(journal.RECEIVED, stamp, bytes(1000)) for stamp in range(200)])
     content = path.read_bytes()
     path.write_bytes(content[:16] + bytes(4096 - 16) + content[4096:])
     read = journal.read(path)
@@ -186,26 +166,3 @@ def test_the_name_of_a_new_journal_is_on_the_disk(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", fsync)
     journal.Writer(tmp_path / "run.h5.part", {}).close()
     assert True in synced
-
-
-def test_a_journal_that_is_ticked_every_20_ms_is_synced_within_a_second(tmp_path, monkeypatch):
-    # Syncs came to be 1.04 s apart, since the next one was due a second after the last one had returned.
-    now, synced = 0.0, []
-    real = os.fsync
-
-    def fsync(handle):
-        nonlocal now
-        now += 0.1  # what a slow disk takes
-        synced.append(now)
-        real(handle)
-
-    writer = journal.Writer(tmp_path / "run.h5.part", {})
-    monkeypatch.setattr(os, "fsync", fsync)
-    monkeypatch.setattr(journal, "time", SimpleNamespace(monotonic=lambda: now, monotonic_ns=lambda: round(1e9 * now)))
-    writer.sync()
-    while now < 20:
-        now += 0.02
-        writer.append(journal.RECEIVED, 0, b"x")
-        writer.tick()
-    writer.close()
-    assert np.diff(synced).max() < 1.0

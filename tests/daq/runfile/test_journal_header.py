@@ -13,6 +13,8 @@ from daq.runfile import journal, store
 from stickslip.errors import InputError, StickslipError
 from stickslip.text import storable
 
+from ...journals import write_journal
+
 FIXTURE = Path(__file__).with_name("fixtures") / "clean.h5.part"
 NOTES = {"columns": None, "decoder": None, "baud": None, "sample_name": "", "note": "", "tags": {}}
 HUGE = 10**400
@@ -31,11 +33,7 @@ def start():
 
 
 def write(path, header, records):
-    path.unlink(missing_ok=True)
-    writer = journal.Writer(path, header)
-    for record in records:
-        writer.append(record.kind, record.stamp_ns, record.data)
-    writer.close()
+    write_journal(path, [(record.kind, record.stamp_ns, record.data) for record in records], header)
 
 
 def outcome(part):

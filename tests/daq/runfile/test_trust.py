@@ -10,21 +10,17 @@ import numpy as np
 import pytest
 
 from daq.runfile import isolation, listing, store, trust
-from daq.runfile.recording import Recording
-from daq.runfile.rig import Rig
 from stickslip.errors import InputError
+
+from .runs import imported_run
 
 POSITION = "instrument/encoder/value_log/value"
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """Return a run file of 50 samples."""
-    times = [f"2024-05-01T12:00:0{second}+02:00" for second in (0, 1)]
-    time = np.arange(50) / 100
-    file = tmp_path / "run.h5"
-    store.write(file, Recording("a track", *times, rate_hz=100.0, rig=Rig(), time=time, position=np.sin(time)))
-    return file
+    store.write(tmp_path / "run.h5", imported_run(50))
+    return tmp_path / "run.h5"
 
 
 def external_link(entry: h5py.Group, secret: Path) -> None:
@@ -56,11 +52,6 @@ def huge(entry: h5py.Group, secret: Path) -> None:
 def many(entry: h5py.Group, secret: Path) -> None:
     for number in range(100):
         entry.create_dataset(f"x{number}", (1_000_000,), "f8", chunks=(1 << 10,), compression="gzip")
-
-
-def loop(entry: h5py.Group, secret: Path) -> None:
-    entry["tags"] = h5py.SoftLink("/entry")
-    entry["raw/again"] = h5py.SoftLink("/entry/raw/again")
 
 
 @pytest.mark.parametrize(
@@ -146,17 +137,10 @@ def test_damage_without_words_is_listed(run: Path, monkeypatch: pytest.MonkeyPat
 
 def test_links_within_the_file_hang_nothing(run: Path) -> None:
     with h5py.File(run, "r+") as file:
-        loop(file["entry"], run)
+        file["entry/tags"] = h5py.SoftLink("/entry")
+        file["entry/raw/again"] = h5py.SoftLink("/entry/raw/again")
     with pytest.raises(InputError):  # tags that are no texts
         store.load(run)
-
-
-def test_an_own_run_and_its_stages_pass(run: Path) -> None:
-    def smooth(entry: h5py.Group) -> None:
-        entry.create_group("smooth")["x"] = np.zeros(200_000)
-
-    store.extend(run, "smooth", smooth)
-    assert store.load(run).time.size == 50
 
 
 def test_a_child_reads_each_state_of_a_file_once_and_none_that_this_process_wrote(

@@ -13,7 +13,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,6 +25,7 @@ from daq.cli.app import app
 from daq.runfile import journal
 from stickslip.console import application
 
+from ...journals import HEADER, write_journal
 from ..conftest import need
 
 HERE = Path(__file__).resolve().parent
@@ -56,7 +56,6 @@ def host(tmp_path_factory):
 
 
 def printed(program, folder, lines, pause=0):
-    """Return what a sketch printed, and its true counts."""
     truth = folder / "truth"
     done = subprocess.run([str(program), str(lines), str(truth), str(pause)], capture_output=True, check=True)
     return done.stdout, np.fromfile(truth, np.int32)
@@ -64,19 +63,13 @@ def printed(program, folder, lines, pause=0):
 
 def recovered(folder, data, rate_hz, lines):
     """Record bytes as daq receives them, and make the run file; return the command's answer and the run."""
-    part = folder / "run.h5.part"
-    header = {
-        **dict.fromkeys(("columns", "decoder", "baud")),
-        **{"protocol": "text", "port": "host", "rate_hz": rate_hz, "samples": None, "title": "a sketch"},
-        **{"operator": "", "wall_ns": time.time_ns(), "monotonic_ns": 0, "utc_offset_s": 0, "warnings": []},
-        "provenance": {},
-    }
-    writer = journal.Writer(part, header)
-    for at in range(0, len(data), READ):
-        stamp = int(1e9 * lines / rate_hz * min(at + READ, len(data)) / len(data)) + 1
-        writer.append(journal.RECEIVED, stamp, data[at : at + READ])
-    writer.append(journal.END, int(1e9 * lines / rate_hz) + 2, json.dumps({"reason": "stopped"}).encode())
-    writer.close()
+    whole_ns, ends = 1e9 * lines / rate_hz, [*range(READ, len(data), READ), len(data)]
+    records = [
+        (journal.RECEIVED, int(whole_ns * end / len(data)) + 1, data[at : at + READ])
+        for at, end in zip(range(0, len(data), READ), ends, strict=True)
+    ]
+    records.append((journal.END, int(whole_ns) + 2, b'{"reason": "stopped"}'))
+    part = write_journal(folder / "run.h5.part", records, HEADER | {"columns": None, "baud": None, "rate_hz": rate_hz})
     with contextlib.redirect_stdout(io.StringIO()) as said:
         assert application.run(app, ["recover", str(part), "--json"]) == 0
     return json.loads(said.getvalue()), daq.load(folder / "run.h5")
@@ -147,7 +140,6 @@ def test_the_words_of_the_pico_count_on_an_emulator():
 
 @pytest.fixture
 def micropython():
-    """Give the program of MicroPython's Unix port."""
     beside = Path(sys.executable).with_name("micropython")
     found = str(beside) if beside.exists() else shutil.which("micropython")
     need(found, "the Unix port of MicroPython is needed")

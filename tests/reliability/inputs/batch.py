@@ -53,19 +53,8 @@ class Tried:
 def run(name: str, calls: int, folder: Path, one: Callable[[int, Path], None], together: int = 1) -> Tried:
     """Call ``one`` with 0, 1, 2 ... in children.
 
-    Parameters
-    ----------
-    name : str
-        For the messages.
-    calls : int
-        How many.
-    folder : Path
-        The only folder that may be written to.
-    one : callable
-        Makes the input of a number, in the folder, and tries it.  A `StickslipError` is a refusal, any other exception
-        and any warning a fault.
-    together : int
-        Inputs that a call stands for.
+    It makes the input of a number, or ``together`` of them, in the folder, which is the only one that may be written
+    to, and tries it.  A `StickslipError` is a refusal, any other exception and any warning a fault.
     """
     tried = Tried()
     at = 0

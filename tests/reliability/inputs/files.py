@@ -4,6 +4,7 @@ import functools
 import io
 import random
 import string
+import tempfile
 import zipfile
 import zlib
 from pathlib import Path
@@ -53,11 +54,8 @@ def damaged_toml(draw: random.Random, folder: Path) -> None:
 @functools.cache
 def tomls() -> list[bytes]:
     board = b'[board]\nport = "/dev/ttyACM0"\nprotocol = "frames"\nrate = 1000\n'
-    return [
-        RIG.to_toml().encode() + board,
-        board,
-        *(path.read_bytes() for path in sorted(BUILTIN_FOLDER.glob("*.toml"))),
-    ]
+    scenes = [path.read_bytes() for path in sorted(BUILTIN_FOLDER.glob("*.toml"))]
+    return [RIG.to_toml().encode() + board, board, *scenes]
 
 
 def damaged_csv(draw: random.Random, folder: Path) -> None:
@@ -114,13 +112,8 @@ def mats() -> list[bytes]:
     table = {"t": time, "x": np.sin(time)}
     nested = np.empty((1, 2), object)
     nested[0, 0], nested[0, 1] = time, {"a": "text", "b": {"c": time[:3]}}
-    odd = {
-        "s": {"x": time, "name": "text"},
-        "c": nested,
-        "z": time * 1j,
-        "n": np.arange(9, dtype="i8"),
-        "e": np.zeros((0, 3)),
-    }
+    odd = {"s": {"x": time, "name": "text"}, "c": nested, "z": time * 1j}
+    odd |= {"n": np.arange(9, dtype="i8"), "e": np.zeros((0, 3))}
     made = []
     for content in (table, odd | {"w": "text", "m": np.eye(3)}):
         for options in ({}, {"do_compression": True}, {"oned_as": "column"}):
@@ -133,7 +126,7 @@ def mats() -> list[bytes]:
 
 
 def _recompressed(content: bytes) -> bytes:
-    """Return a MATLAB file of level 5 as one compressed variable."""
+    # of level 5, as one compressed variable
     packed = zlib.compress(content[128:])
     return content[:128] + (15).to_bytes(4, "little") + len(packed).to_bytes(4, "little") + packed
 
@@ -161,7 +154,6 @@ def damaged_sr(draw: random.Random, folder: Path) -> None:
 
 @functools.cache
 def captures() -> list[bytes]:
-    """Return samples of two channels."""
     return [bytes(k // 3 % 4 for k in range(size)) for size in (0, 1, 300, 5000)]
 
 
@@ -214,8 +206,6 @@ def _use(draw: random.Random, path: Path) -> None:
 @functools.cache
 def runs() -> dict[str, tuple[bytes, list[int]]]:
     """Return run files, each with the places of its bytes outside of chunks: those are guarded by checksums."""
-    import tempfile
-
     time = np.arange(300) / 1000
     count = np.round(4000 * np.sin(9 * time)).astype(np.int64)
     raw = Raw(

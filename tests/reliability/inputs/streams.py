@@ -19,14 +19,11 @@ from daq.runfile.rig import Rig
 from daq.wire import frames
 from daq.wire.frames import Capability, Ident, SampleBlock, TruthFrame
 
+from ...journals import HEADER, write_journal
 from .mutation import bytewise, textual
 
 TOGETHER = 25  # damaged frames, lines or records in a stream of twice as many
-HEADER: dict[str, Any] = {
-    **{"protocol": "frames", "columns": None, "decoder": None, "port": "x", "baud": 115_200, "rate_hz": 1000.0},
-    **{"samples": None, "title": "t", "operator": "", "sample_name": "", "note": "", "tags": {}},
-    **{"wall_ns": 1_700_000_000_000_000_000, "monotonic_ns": 0, "utc_offset_s": 0, "warnings": [], "provenance": {}},
-}
+FRAMES = HEADER | {"protocol": "frames", "columns": None}
 COLUMNS = ("t_us,count", "t_ms,count_up,count_down", None)
 Records = Sequence[tuple[int, int, bytes]]
 
@@ -43,17 +40,15 @@ def damaged_frames(draw: random.Random, folder: Path) -> None:
         else:
             line = frames.enframe(payload)
             sent.append(bytewise(draw, line, sent) if damaged else line)
-    _record(draw, folder, HEADER, b"".join(sent), FrameTally())
+    _record(draw, folder, FRAMES, b"".join(sent), FrameTally())
 
 
 def _half(draw: random.Random) -> list[bool]:
-    """Return which parts of a stream are damaged."""
     return draw.sample([False, True], 2 * TOGETHER, counts=[TOGETHER, TOGETHER])
 
 
 @functools.cache
 def payloads() -> tuple[list[bytes], ...]:
-    """Return identifications, other texts, samples, and the truth."""
     able = [Capability(0), Capability.LEVELS | Capability.ILLEGAL, *map(Capability, (0x7F, 0x3F, Capability.BELT))]
     idents = [
         Ident((0, 2, 0), "x4", each, bits, 1000, 8, 4000, 100_000, "rig") for each in able for bits in (16, 32, 2)
@@ -77,25 +72,15 @@ def damaged_text(draw: random.Random, folder: Path) -> None:
     form = declared or draw.choice(COLUMNS[:2])
     lines = []
     for k, damaged in enumerate(_half(draw)):
-        values = {
-            "t_us": first + 1000 * k,
-            "t_ms": first // 1000 + k,
-            "count": 7 * k,
-            "count_up": 9 * k,
-            "count_down": k,
-        }
+        values = {"t_us": first + 1000 * k, "t_ms": first // 1000 + k}
+        values |= {"count": 7 * k, "count_up": 9 * k, "count_down": k}
         line = b",".join(b"%d" % values[name] for name in form.split(",")) + b"\n"
         lines.append(textual(draw, line, lines) if damaged else line)
-    header = HEADER | {
-        "protocol": "text",
-        "columns": declared,
-        "rate_hz": draw.choice((1000.0, 1000.0, 1000.0, 1.0, 1e6)),
-    }
+    header = HEADER | {"columns": declared, "rate_hz": draw.choice((1000.0, 1000.0, 1000.0, 1.0, 1e6))}
     _record(draw, folder, header, b"".join(lines), LineTally(partial(text.make_reader, parse_columns(form)), 1000.0))
 
 
 def damaged_qsb(draw: random.Random, folder: Path) -> None:
-    """Try a stream of records of a QSB."""
     records: list[bytes] = []
     for k, damaged in enumerate(_half(draw)):
         record = draw.choice(
@@ -103,7 +88,7 @@ def damaged_qsb(draw: random.Random, folder: Path) -> None:
         )
         record = record % (5 * k & 0xFFFFFFFF, k) + b"\r\n"
         records.append(bytewise(draw, record, records) if damaged else record)
-    header = HEADER | {"protocol": "qsb", "rate_hz": draw.choice((512.0, 1.0, 100.0))}
+    header = FRAMES | {"protocol": "qsb", "rate_hz": draw.choice((512.0, 1.0, 100.0))}
     _record(draw, folder, header, b"".join(records), LineTally(qsb.make_reader, 1.0))
 
 
@@ -111,7 +96,7 @@ def damaged_journal(draw: random.Random, folder: Path) -> None:
     """Try a journal with damaged records, times and fields of its header, or with damaged bytes."""
     idents, _, samples, _ = payloads()
     lines = [frames.enframe(payload) for payload in (idents[1], *samples)]
-    header, records, stamp = dict(HEADER), [], 0
+    header, records, stamp = dict(FRAMES), [], 0
     odd = (journal.LOST, journal.REOPENED, journal.DROPPED, journal.END, journal.CONFIGURATION)
     for k, damaged in enumerate(_half(draw)):
         kind, content = journal.RECEIVED, lines[k]
@@ -154,13 +139,8 @@ def _record(draw: random.Random, folder: Path, header: dict[str, Any], stream: b
 
 def _write(folder: Path, header: dict[str, Any], records: Records) -> Path:
     part = folder / "input.h5.part"
-    for left in (part, journal.markers_path(part)):
-        left.unlink(missing_ok=True)
-    writer = journal.Writer(part, header)
-    for kind, stamp, content in records:
-        writer.append(kind, stamp, content)
-    writer.close()
-    return part
+    journal.markers_path(part).unlink(missing_ok=True)
+    return write_journal(part, records, header)
 
 
 def _make_run(part: Path) -> None:
