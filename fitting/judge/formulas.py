@@ -28,7 +28,7 @@ from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_bet
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.memory import fit_memory
-from fitting.search.passes import finish
+from fitting.search.passes import WHOLE, finish
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
@@ -223,11 +223,11 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
 def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
     """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended.
 
-    One that errs no less than constant friction shows no other friction, however little it errs more.
+    One that errs more than constant friction, by more than a search leaves, shows no other friction.
     """
     for other in others:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
-        allowed = 1.0 if other.law.number == 1 else WORSE
+        allowed = 1 + WHOLE.gain if other.law.number == 1 else WORSE
         worse = fit.geometric_mean_rms > allowed * other.geometric_mean_rms
         if limit and (worse or fit.rms > allowed * other.rms):
             return f"its fit errs more than law {other.law.name}"
