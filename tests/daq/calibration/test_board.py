@@ -145,37 +145,11 @@ def test_what_was_calibrated_is_what_a_recording_uses(capsys, tmp_path):
     assert run.position[-1] == pytest.approx(0.0, abs=1.1e-3)  # within Fs/k
 
 
-def test_a_calibration_is_never_overwritten(capsys, tmp_path):
-    (tmp_path / "rig.toml").write_text("mine")
-    code, found, _ = said(capsys, "calibrate")
-    assert code == 2
-    assert "--force" in found["error"]["do"]
-    assert (tmp_path / "rig.toml").read_text() == "mine"
-
-
 def test_a_rig_that_never_swings_is_data_that_cannot_bear_it(capsys, tmp_path):
     code, found, _ = said(capsys, "calibrate", "--port", url("belt.speed=0.0"), "--duration", 2)
     assert code == 4
     assert "not moved" in found["error"]["what"]
     assert not (tmp_path / "rig.toml").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "where"),
-    [
-        (("calibrate", "--no-ring-down"), "command line"),
-        (("calibrate", "--distance", "0"), "--distance"),
-        (("calibrate", "--distance", "5 kg"), "--distance"),
-        (("calibrate", "--mass", "-1"), "--mass"),
-        (("check", "--parked", "-1"), "--parked"),
-        (("check", "--parked", "0", "--move", "0"), "--parked and --move"),
-        (("check", "--protocol", "qbs"), "--protocol"),
-    ],
-)
-def test_bad_requests_name_their_flag(capsys, arguments, where):
-    code, found, _ = said(capsys, *arguments)
-    assert code == 2
-    assert found["error"]["where"] == where
 
 
 def test_derived_errors_are_those_of_their_parts():
@@ -218,27 +192,6 @@ def test_the_examples_of_calibrate_run_on_the_simulated_rig(capsys, tmp_path):
     code, found, _ = said(capsys, "calibrate", "--distance", "100 mm +- 0.1 mm", "-o", "other.toml")
     assert (code, found["error"]["where"]) == (2, "--distance")
     assert "the simulated rig cannot be moved" in found["error"]["what"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        (["check", "--port", "/dev/ttyNOPE"], 3),
-        (["check", "--port", "rig://rig", "--rate", "0"], 2),
-        (["check", "--port", "rig://nope"], 2),
-        (["check", "--port", "/dev/null", "--protocol", "qsb", "--rate", "1000"], 2),
-        (["calibrate", "--port", "/dev/ttyNOPE", "--distance", "0.1"], 3),
-        (["calibrate", "--port", "rig://rig", "--duration", "-1"], 2),
-        (["calibrate", "--port", "rig://rig", "--move", "nan", "--distance", "0.1"], 2),
-        (["calibrate", "--port", "/dev/null", "--protocol", "text", "--columns", "t_us,cuont"], 2),
-    ],
-)
-def test_nobody_is_asked_to_do_anything_before_the_request_is_known_to_be_possible(capsys, arguments, code):
-    # The prompt to leave the mass alone, or to pull it aside, used to come first.
-    assert application.run(app, arguments) == code
-    err = capsys.readouterr().err
-    assert "the mass" not in err
-    assert err.count("\n") == 1
 
 
 def test_an_interrupted_check_names_no_journal_that_is_gone(capsys, monkeypatch):

@@ -1,7 +1,6 @@
 """What labs have: formats, units, forces and belt columns, of files made as the programs make them; no silent unit."""
 
 import json
-import re
 from itertools import cycle
 
 import numpy as np
@@ -9,8 +8,6 @@ import pytest
 
 import daq
 from daq.cli.app import app
-from daq.imports.formats import columns as format_columns
-from daq.imports.formats import tdms, workbook
 from stickslip.console import application
 from stickslip.errors import InputError
 from stickslip.units import Measured
@@ -257,50 +254,6 @@ def test_counts_of_a_table_become_metres(tmp_path, capsys, flags):
     replayed = ["replay", str(tmp_path / "run.h5"), "-o", str(tmp_path / "two.h5"), "--metres-per-count", "-1 um"]
     assert application.run(app, replayed) == 0
     np.testing.assert_allclose(daq.load(tmp_path / "two.h5").position, count * -1e-6, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"counts_per_rev": 100}, "counts_per_rev without circumference; give circumference too, or metres_per_count"),
-        ({"circumference": "1 mm"}, "circumference without counts_per_rev"),
-        ({"counts_per_rev": 0, "circumference": "1 mm"}, "counts_per_rev: is 0; give a positive whole number"),
-        ({"counts_per_rev": 9, "circumference": 0}, "metres_per_count is 0; it must be not zero"),
-        ({"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, "give one or the other"),
-        ({"metres_per_count": 1e-6, "x_unit": "mm"}, "x_unit beside metres per count"),
-        ({"metres_per_count": 1e-6}, "is a length, and metres per count are given; leave metres_per_count out"),
-    ],
-)
-def test_what_a_count_is_is_stated_once(tmp_path, given, words):
-    path = programs.text(tmp_path / "t.csv", columns())
-    with pytest.raises(InputError, match=re.escape(words)):
-        daq.load(path, **given)
-
-
-# Files that are damaged, incomplete, or need what is not there.
-def test_a_library_that_is_missing_is_named_with_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setattr(format_columns, "find_spec", lambda name: None)
-    for path, module in ((programs.xlsx(tmp_path / "t.xlsx", columns()), workbook), (tmp_path / "t.tdms", tdms)):
-        path.touch()
-        with pytest.raises(InputError, match=re.escape("pip install 'stickslip[formats]'")):
-            module.read(*([path, None] if module is workbook else [path]))
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("t.xlsx", b"PK\x03\x04 nothing", "is not a workbook"),
-        ("t.tdms", b"TDSm" + b"\xff" * 60, "holds no channel of numbers"),
-        ("t.mat", b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n" + bytes(90), "is not a MATLAB file"),
-        ("t.lvm", b"LabVIEW Measurement\t\r\nWriter_Version\t2\r\n", "its header does not end"),
-        ("t.lvm", b"LabVIEW Measurement\t\n***End_of_Header***\n\nX_Value\ty\tComment\n", "holds no numbers"),
-    ],
-)
-def test_a_damaged_file_ends_in_one_line(tmp_path, name, content, words):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=words) as caught:
-        daq.load(tmp_path / name)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_workbook_of_several_tables_asks_for_the_sheet(tmp_path):

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from daq.imports import columns, layout, table, table_to_run
 from daq.imports.options import ImportOptions
-from stickslip.errors import InputError
 
 MODULES = ("daq.imports.columns", "daq.imports.layout", "daq.imports.sigrok", "stickslip.units")
 # Used by search or split, which begin anew at every place; all others by fullmatch or match.
@@ -66,20 +65,6 @@ def test_a_header_of_blanks_is_read(tmp_path):
     found = table_to_run.read(path, ImportOptions())
     assert found.columns["position"].endswith("in mm")
     assert len(found.columns["position"]) < 100  # 20,000 blanks were printed
-
-
-def test_a_line_longer_than_a_table_has_is_refused_unread(tmp_path, monkeypatch):
-    """A line of 4 MB was split by every delimiter and each of its cells tried as a number: 11 s."""
-    path = tmp_path / "long.csv"
-    path.write_text("t,x\n0,1\n" + "1," * table.LONGEST_LINE + "\n0.1,2\n")
-    monkeypatch.setattr(layout, "split_cells", lambda *_: pytest.fail("a line was split"))
-    with pytest.raises(InputError) as refused:
-        table_to_run.read(path, ImportOptions())
-    assert (refused.value.where, refused.value.do) == (
-        f"{path}, line 3",
-        "delete that line; if the table begins below it, give --preamble 3",
-    )
-    assert f"holds {2 * table.LONGEST_LINE} characters" in refused.value.what
 
 
 def test_a_long_line_above_or_beside_the_table_does_not_matter(tmp_path):

@@ -1,7 +1,6 @@
 """`daq.load` reads what `daq import` reads, in memory; its keywords are the flags."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -56,22 +55,6 @@ def test_what_the_command_warns_about_is_a_warning(table):
     with pytest.warns(UserWarning, match=r"track.csv: .* is read in cm") as caught:
         daq.load(table, x_unit="cm")
     assert caught[0].filename == __file__
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "words"),
-    [
-        ("track.csv", {"xunit": "cm"}, "no option 'xunit' of a table; did you mean 'x_unit'?"),
-        ("track.csv", {"x_unit": "cmm"}, "'cmm' is not a unit of length; did you mean 'mm'?"),
-        ("track.csv", {"mass": "heavy"}, "'heavy' is not a valid mass; write it like '300 g'"),
-        ("track.csv", {"position": "y"}, "no column 'y'; the columns are: t, x"),
-        ("none.csv", {}, "no such file; check the path"),
-        ("", {}, "is a folder"),
-    ],
-)
-def test_a_wrong_keyword_or_value_is_named(table, name, options, words):
-    with pytest.raises(InputError, match=re.escape(words)):
-        daq.load(table.parent / name, **options)
 
 
 def test_the_date_of_an_imported_file_is_said_to_be_that(table, tmp_path, capsys):

@@ -9,7 +9,6 @@ import processing
 from daq.cli import sentences
 from daq.imports import table_to_run
 from daq.imports.options import ImportOptions
-from stickslip.errors import InputError
 
 
 @pytest.fixture
@@ -43,32 +42,3 @@ def test_process_smooths_what_daq_import_made_of_it(path, tmp_path):
     motion = processing.smooth(daq.load(target))
     inner = slice(200, -200)
     assert np.abs(motion.velocity - 0.3 * np.cos(3 * path[1]))[inner].max() < 1e-4
-
-
-def test_a_name_that_is_not_there_is_told_with_those_that_are(path):
-    with pytest.raises(InputError, match="qm"):
-        table_to_run.read(path[0], ImportOptions(time="t", position="q"))
-
-
-def test_what_is_no_matlab_file_is_refused(tmp_path):
-    target = tmp_path / "fake.mat"
-    target.write_text("t,x\n0,1\n")
-    with pytest.raises(InputError, match="is not a MATLAB file"):
-        table_to_run.read(target, ImportOptions())
-    savemat(tmp_path / "empty.mat", {"name": "nothing"})
-    with pytest.raises(InputError, match="holds no vector"):
-        table_to_run.read(tmp_path / "empty.mat", ImportOptions())
-    with pytest.raises(InputError, match="no such file"):
-        table_to_run.read(tmp_path / "missing.mat", ImportOptions())
-
-
-def test_a_file_that_crashes_the_matlab_library_is_refused(tmp_path):
-    # One in 400 damaged files ended the command with a segmentation fault: this one says that its numbers are complex.
-    target = tmp_path / "run.mat"
-    savemat(target, {"t": np.arange(40) / 100, "x": np.arange(40.0)})
-    content = bytearray(target.read_bytes())
-    assert content[144:146] == b"\x06\x00"  # class and flags of the first variable
-    content[145] |= 8
-    target.write_bytes(content)
-    with pytest.raises(InputError, match="it crashes the library"):
-        table_to_run.read(target, ImportOptions())

@@ -20,7 +20,6 @@ from daq.runfile.rig import Rig
 from daq.wire import frames
 from daq.wire.quadrature import GRAY, PHASE
 from stickslip.console import application
-from stickslip.errors import InputError
 from stickslip.units import Measured
 
 PAIR = {0: "A", 1: "B"}
@@ -148,17 +147,6 @@ def test_illegal_transitions_are_marked_in_the_run(tmp_path: Path, write_capture
     assert replay.count_faults(run) == {"lost": 0, "illegal": 1, "phase_errors": 80, "crc_errors": 0}
 
 
-def test_a_capture_without_a_rate_is_not_guessed(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
-    path = write_capture(tmp_path / "x.sr", [0, 1], PAIR, rate=None)
-    with pytest.raises(InputError, match="capture_rate"):
-        replay.sample_capture(sigrok.read(path), WIRED, 1000.0, Rig())
-
-
-def test_a_board_cannot_sample_faster_than_the_capture(swing: Path) -> None:
-    with pytest.raises(InputError, match="up to 10000"):
-        replay.sample_capture(sigrok.read(swing), WIRED, 20_000.0, Rig())
-
-
 def test_a_journal_is_replayed_and_kept(
     part: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -210,51 +198,6 @@ def test_an_import_is_replayed_as_it_stands(app: cyclopts.App, tmp_path: Path) -
     again = store.load(second)
     assert again.position.tolist() == [1, 2]
     assert again.count is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["none.sr"], ["none.sr", "no such file"]),
-        (["notes.txt"], ["notes.txt", "neither a journal"]),
-        (["board.h5.part", "--step", "3"], ["--step", "journal"]),
-        (["board.h5.part", "--rig", "none.toml"], ["none.toml", "--rig"]),
-        (["board.h5.part", "--rate", "x"], ["--rate"]),
-        (["swing.sr"], ["which probes", "0 A, 1 B"]),
-        (["swing.sr", "--channels", "A=A,B=B", "--rate", "0"], ["--rate", "not positive"]),
-        (["swing.sr", "--channels", "A=A,B=B", "--rate", "nope"], ["--rate", "'nope'"]),
-        (["swing.sr", "--channels", "A=A,B=B", "--rate", "1e-300"], ["1e-300 Hz"]),  # these three were tracebacks
-        (["swing.sr", "--channels", "A=A,B=B", "--capture-rate", "1e300"], ["1e+300 Hz"]),
-        (["swing.sr", "--channels", "A=A,B=B", "--capture-rate", "1e-300", "--rate", "1e-300"], ["1e-300 Hz"]),
-    ],
-)
-def test_bad_requests_are_one_line_and_write_nothing(
-    part: Path,
-    swing: Path,
-    app: cyclopts.App,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    words: list[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("notes.txt").write_text("hello")
-    assert application.run(app, ["replay", *arguments, "-o", "out.h5"]) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1
-    for word in words:
-        assert word in line
-    assert not Path("out.h5").exists()
-
-
-def test_a_source_is_never_replaced_by_its_replay(part: Path, app: cyclopts.App, tmp_path: Path) -> None:
-    run = tmp_path / "a.h5"
-    assert application.run(app, ["replay", str(part), "-o", str(run)]) == 0
-    before = run.read_bytes()
-    assert application.run(app, ["replay", str(run), "-o", str(run), "--force"]) == 2
-    assert application.run(app, ["replay", str(part), "-o", str(run)]) == 2
-    assert run.read_bytes() == before
 
 
 def test_real_captures_become_runs(captures: Path, app: cyclopts.App, tmp_path: Path, capsys: Any) -> None:

@@ -67,14 +67,6 @@ def test_probes_are_called_by_name_before_index(path: Path, write_capture: Any) 
     assert [found.bit(name, "--step") for name in ("1", "0", "XA", "2", "5")] == [0, 1, 2, 2, 5]
 
 
-def test_an_unknown_probe_lists_the_captures(path: Path, write_capture: Any) -> None:
-    found = sigrok.read(write_capture(path, [0, 1], {2: "XA", 5: "XB"}))
-    for name in ("XC", "3"):
-        with pytest.raises(InputError, match="2 XA, 5 XB") as error:
-            found.bit(name, "--channels")
-        assert name in error.value.as_line()
-
-
 def totals(path: Path, decoder: str | None = None, **probes: str) -> capture.Totals:
     found = sigrok.read(path)
     wired = capture.choose_wiring(found, ProbeOptions(**probes, decoder=decoder))
@@ -98,31 +90,6 @@ def test_step_and_direction_count_rises(path: Path, write_capture: Any) -> None:
     direction = np.array([1, 1, 1, 1, 1, 0, 0, 0, 0])
     write_capture(path, step + 2 * direction, {0: "step", 1: "dir"})
     assert totals(path, step="0", direction="dir") == capture.Totals(2, 1, 1, 0, 3)
-
-
-@pytest.mark.parametrize(
-    ("probes", "decoder", "words"),
-    [
-        ({}, None, ["which probes", "0 A, 1 B"]),
-        ({"step": "A"}, None, ["which probes"]),
-        ({"channels": "A=A,B=B", "step": "A"}, None, ["exclude"]),
-        ({"channels": "A,B"}, None, ["'A,B'", "A=NAME,B=NAME"]),
-        ({"channels": "A=A,C=B"}, None, ["does not name a pair"]),
-        ({"channels": "A=A,B=A"}, None, ["same probe"]),
-        ({"channels": "A=A,B=Q"}, None, ["no probe 'Q'"]),
-        ({"channels": "A=A,B=B"}, "x2", ["'x2'", "--decoder"]),
-        ({"step": "A", "direction": "A"}, None, ["same probe"]),
-        ({"step": "A", "direction": "B"}, "x4", ["need no decoder"]),
-    ],
-)
-def test_a_wrong_wiring_is_refused(
-    path: Path, probes: Any, decoder: str | None, words: list[str], write_capture: Any
-) -> None:
-    write_capture(path, [0, 1], {0: "A", 1: "B"})
-    with pytest.raises(InputError) as error:
-        totals(path, decoder, **probes)
-    for word in words:
-        assert word in error.value.as_line()
 
 
 def refused(path: Path) -> str:

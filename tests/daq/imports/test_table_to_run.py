@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from csv import reader
 from pathlib import Path
 from typing import Any
@@ -205,45 +204,6 @@ def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
     assert found.run.time.tolist() == [0, 0.1, 0.35, 0.4]
 
 
-@pytest.mark.parametrize(
-    ("text", "changes", "words"),
-    [
-        ("t,x\n0,1\n0.1,lost\n", {}, ["line 3", "column 'x'", "'lost'", "correct"]),
-        ("t,x\n0,foo\n0.1,2\n", {}, ["line 2", "'foo'"]),
-        ("0,1\n0.1,\n0.2,3\n", {}, ["line 2", "column 2", "empty"]),
-        ("t,x\n0,1\n0.1,nan\n", {}, ["line 3", "'nan'"]),
-        ("t,x\n0,1\ninf,2\n", {}, ["line 3", "column 't'", "'inf'"]),
-        ("t,x\n0,1\n1,2\n1,3\n", {}, ["line 4", "does not increase", "1 s after 1 s"]),
-        ("t,x\n\n0,1\n# note\n2,2\n1,3\n", {}, ["line 6", "does not increase"]),
-        ("t,x\n0,1\n1,2,3\n2,3\n", {}, ["line 3", "3 columns"]),
-        ("t,x\n0,10,1,25\n0,20,1,50\n", {}, ["line 1", "2 columns", "have 4", "semicolons"]),
-        ("a,b,c\n0,1,2\n1,2,3\n", {}, ["which column is the position", "a, b, c"]),
-        ("x,b,c\n0,1,2\n1,2,3\n", {}, ["which column is the time", "--time"]),
-        ("t,x\n0,1\n1,2\n", {"position": "y"}, ["no column 'y'", "t, x"]),
-        ("t,x\n0,1\n1,2\n", {"time": "t", "position": "t"}, ["time and position are the same"]),
-        ("t,x (px)\n0,1\n1,2\n", {}, ["'px'", "--x-unit", "0.25 mm"]),
-        ("t,x\n0,1\n1,2\n", {"x_unit": "kg"}, ["--x-unit", "'kg'"]),
-        ("t,x\n0,1\n1,2\n", {"x_unit": "0 m"}, ["--x-unit", "zero"]),
-        ("x\n1\n2\n", {}, ["no column of times", "--frame-rate"]),
-        ("frame,x\n1,2\n2,3\n", {}, ["frame numbers", "--frame-rate"]),
-        ("t,x\n0,1\n", {}, ["single sample"]),
-        ("t,x\n", {}, ["holds no numbers"]),
-        ("", {}, ["is empty"]),
-        ("# nothing\n", {}, ["holds no data"]),
-        ("t,x\n0,1\n1,2\n", {"started": "yesterday"}, ["--start", "zone"]),
-        ("a\0b", {}, ["not a text file"]),
-    ],
-)
-def test_bad_tables_are_refused_by_line(csv: Path, text: str, changes: Any, words: list[str]) -> None:
-    csv.write_text(text)
-    with pytest.raises(InputError) as error:
-        table_to_run.read(csv, ImportOptions(**changes))
-    line = error.value.as_line()
-    assert "\n" not in line
-    for word in words:
-        assert word in line
-
-
 @pytest.mark.parametrize("belt", [0.22, -0.22])
 def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -> None:
     time, x = sawtooth(400, belt=belt)
@@ -399,15 +359,6 @@ def test_the_rest_position_is_a_reading_and_leaves_the_readings_as_they_are(
     assert recording.rig.datum is None
 
 
-def test_a_rest_position_is_stated_once(csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str]) -> None:
-    time, x = sawtooth(400)
-    make(csv, "t (s),x (m)\n", zip(time, x, strict=True))
-    target = csv.with_name("run.h5")
-    assert application.run(app, ["import", str(csv), "-o", str(target), "--x0", "1 mm", "--datum", "-1 mm"]) == 2
-    assert "--x0 and --datum together; give --x0 alone: --datum is -x0" in capsys.readouterr().err
-    assert not target.exists()
-
-
 @pytest.mark.parametrize(("flag", "value"), [("--x0", "-5 m"), ("--datum", "5 m")])
 def test_a_rest_position_far_from_the_travel_is_asked_about(
     csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], flag: str, value: str
@@ -419,24 +370,6 @@ def test_a_rest_position_far_from_the_travel_is_asked_about(
     (asked,) = json.loads(capsys.readouterr().out)["warnings"]
     assert "x0 (-5 m) is" in asked
     assert "are its sign and its unit right?" in asked
-
-
-def test_the_command_refuses_in_one_line_and_writes_nothing(
-    csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str]
-) -> None:
-    csv.write_text("t,x\n0,1\n1,oops\n")
-    target = csv.with_name("run.h5")
-    assert application.run(app, ["import", str(csv), "-o", str(target)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-    assert not target.exists()
-    target.write_text("precious")
-    csv.write_text("t,x\n0,1\n1,2\n")
-    assert application.run(app, ["import", str(csv), "-o", str(target)]) == 2
-    assert "--force" in capsys.readouterr().err
-    assert target.read_text() == "precious"
-    assert application.run(app, ["import", str(csv), "-o", str(target), "--mass", "-1"]) == 2
-    assert application.run(app, ["import", str(csv), "-o", str(target), "--force"]) == 0
-    assert store.load(target).position.tolist() == [1, 2]
 
 
 def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
@@ -562,43 +495,6 @@ def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv: Path)
     assert "states no unit and is read in N" in plain.warnings[0]
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"spring_force": "F", "position": "x"}, "excludes --position"),
-        ({"force_unit": "N"}, "without --spring-force"),
-        ({"clock": True, "t_unit": "s"}, "exclude each other"),
-        ({"preamble": -1}, "--preamble"),
-        ({"frame_rate_hz": 1e-300, "time": None}, "--frame-rate"),
-        ({"frame_rate_hz": 1e-320, "time": None}, "--frame-rate"),  # a RuntimeWarning
-        ({"frame_rate_hz": 1e308, "time": None}, "--frame-rate"),  # a rate of inf Hz
-    ],
-)
-def test_flags_that_cannot_go_together_are_refused(csv: Path, changes: Any, words: str) -> None:
-    csv.write_text("x\n1\n2\n3\n")
-    with pytest.raises(InputError) as error:
-        table_to_run.read(csv, ImportOptions(**changes))
-    assert re.search(words, error.value.as_line())
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "t,x\n0,1\n1e12,2\n",
-        "t,x\n0,1\n1,1e300\n",
-        "t,x\n0,1\n1e-310,2\n2e-310,1\n",
-        "sep=;\n",
-        "\f\n",
-        "x\n" + "1" * 140_000 + "x\n",
-    ],
-)
-def test_wild_tables_end_in_one_line(csv: Path, text: str) -> None:
-    """The first, the third and the fourth used to end in a traceback, or in a run of inf Hz."""
-    csv.write_text(text)
-    with pytest.raises(InputError):
-        table_to_run.read(csv, ImportOptions(frame_rate_hz=1.0 if text.startswith("x") else None))
-
-
 def test_progress_counts_the_lines_of_each_stage(csv, monkeypatch):
     monkeypatch.setattr(table, "TOGETHER", 2000)
     done = []
@@ -617,15 +513,3 @@ def test_the_time_column_is_named_with_its_unit_or_as_times_of_day(csv):
     csv.write_text("clock,x (m)\n" + "".join(f"12:00:{t:09.6f},{x:.9g}\n" for t, x in rows))
     found = table_to_run.read(csv, ImportOptions(clock=True))
     assert found.columns["time"] == "column 'clock', times of day"
-
-
-def test_a_run_file_is_named_as_what_it_is(csv):
-    csv.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(64))
-    with pytest.raises(InputError, match="HDF5"):
-        table_to_run.read(csv, ImportOptions())
-
-
-def test_a_line_cut_short_is_counted_in_the_singular(csv):
-    csv.write_text("t (s),x (m)\n" + "".join(f"{i / 100},0.0{i}\n" for i in range(9)) + "0.09\n")
-    with pytest.raises(InputError, match="has 1 column where the others have 2"):
-        table_to_run.read(csv, ImportOptions())

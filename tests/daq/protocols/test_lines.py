@@ -252,27 +252,6 @@ def test_a_label_that_changes_is_damage():
     assert np.array_equal(stream.ticks, 2000 * stream.stamp_ns)
 
 
-@pytest.mark.parametrize(
-    ("name", "wish", "said"),
-    [
-        ("qsb", RecordRequest(rate_hz=1000), "1000 Hz .* at most 512 Hz"),
-        ("qsb", RecordRequest(decoder="jk"), "no decoder 'jk'"),
-        ("qsb", RecordRequest(columns="t_us,count"), "--columns"),
-        ("frames", RecordRequest(columns="t_us,count"), "--columns"),
-        ("frames", RecordRequest(decoder="x3"), "x4"),
-    ],
-)
-def test_what_a_protocol_can_never_do_is_refused_before_anything_is_touched(name, wish, said):
-    with pytest.raises(InputError) as refused:
-        protocols.load(name).check(wish)
-    assert re.search(said, refused.value.as_line())
-
-
-def test_an_unknown_protocol_names_its_neighbour():
-    with pytest.raises(InputError, match="did you mean 'qsb'"):
-        protocols.load("qbs")
-
-
 class Sketch:
     """A port on which a sketch prints by itself, so many bytes a read."""
 
