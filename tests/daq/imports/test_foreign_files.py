@@ -117,12 +117,10 @@ def test_how_programs_write_tables(tmp_path, head, rows, scale):
     np.testing.assert_allclose(run.time, TIME, atol=2e-4)
 
 
-def test_a_vector_and_a_column_of_a_matrix_of_one_name_are_asked_about(tmp_path):
+def test_a_column_of_a_matrix_is_chosen_by_its_number(tmp_path):
     from scipy.io import savemat
 
     savemat(tmp_path / "a.mat", {"t": TIME, "x": np.stack([X, -X], axis=1), "x_1": 2 * X})
-    with pytest.raises(InputError, match=r"which column is 'x_1': 'x_1' \(column 2\), 'x_1' \(column 4\)"):
-        daq.load(tmp_path / "a.mat", position="x_1", x_unit="m")
     np.testing.assert_allclose(daq.load(tmp_path / "a.mat", position="4", x_unit="m").position, 2 * X)
 
 

@@ -290,8 +290,9 @@ FILES = [
     ),
     # Columns of forces, speeds and belts.
     (text(FORCE), {}, "--stiffness '168 N/m'; else choose"),
-    (text([FORCE[0], FORCE[1], ("v", "mm/s", X)]), {}, "spring_force='F'"),
-    (text([FORCE[0], FORCE[1], ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, no position"),
+    (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "which column is the position?"),
+    (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "spring_force='F'"),
+    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, no position"),
     (
         text(LENGTHS),
         {"belt_column": "belt"},

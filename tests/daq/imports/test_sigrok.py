@@ -1,18 +1,18 @@
 """Captures: the container read whatever its chunks, real ones decoded to the counts stated for them."""
 
+import io
 import json
 import zipfile
 from pathlib import Path
 from typing import Any
 
-import cyclopts
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq.cli import files
+from daq.cli.app import app
 from daq.imports import capture, sigrok
 from daq.imports.options import ProbeOptions
 from daq.wire.quadrature import GRAY
@@ -92,67 +92,81 @@ def test_step_and_direction_count_rises(path: Path, write_capture: Any) -> None:
     assert totals(path, step="0", direction="dir") == capture.Totals(2, 1, 1, 0, 3)
 
 
-def refused(path: Path) -> str:
+METADATA = "[device 1]\ncapturefile=logic-1\nsamplerate=1 MHz\nunitsize=1\nprobe1=A\nprobe2=B\n"
+BYTES = bytes([0, 1, 3, 2] * 250)
+
+
+def zipped(metadata: str | None = METADATA, entry: str = "logic-1", packed: int = zipfile.ZIP_DEFLATED) -> bytes:
+    """Return a capture of these metadata, whose samples are in this entry."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("version", "2")
+        if metadata is not None:
+            archive.writestr("metadata", metadata)
+        archive.writestr(entry, BYTES, packed)
+    return made.getvalue()
+
+
+def changed(at: int, data: bytes) -> bytes:
+    whole = bytearray(zipped())
+    whole[at : at + len(data)] = data
+    return bytes(whole)
+
+
+WHOLE = zipped()
+END, DIRECTORY = WHOLE.rindex(b"PK\x05\x06"), WHOLE.rindex(b"PK\x01\x02")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "no such file"),
+        (b"G1 X10", "not a zip"),
+        (zipped(None), "without 'metadata'"),
+        (zipped("no section\n"), "broken metadata"),
+        (zipped("[global]\n[device 1]\ntotal analog=1\nanalog1=V\n"), "no logic samples"),
+        (zipped(METADATA.replace("logic-1", "logic-7")), "no logic-7"),
+        (zipped("[device 1]\ncapturefile=logic-1\n"), "names no probes"),
+        (zipped(METADATA.replace("unitsize=1", "unitsize=0")), "unitsize = '0'"),
+        (zipped(METADATA.replace("unitsize=1", "unitsize=16")), "ends within a sample"),
+        (zipped(METADATA.replace("1 MHz", "fast")), "samplerate = 'fast'"),
+        (zipped(METADATA.replace("1 MHz", "9" * 400)), "samplerate"),  # times that were not numbers
+        (zipped(METADATA.replace("1 MHz", "0.0")), "samplerate"),
+        # Small files that claim much.
+        (zipped(entry="logic-1-3000000000"), "no logic samples"),  # took 4.5 GB
+        (zipped(entry="logic-1-300000000"), "lacks logic-1-1 of"),
+        (zipped(entry="logic-1-01"), "no logic samples"),  # a KeyError
+        (zipped(METADATA.replace("unitsize=1", f"unitsize={'9' * 5000}")), "unitsize"),  # a ValueError
+        (zipped(METADATA + f"probe{'9' * 5000}=C\n" + ";" * 2_000_000), "of metadata"),
+        # What no logic analyser packs: damage in it was a traceback, and its header may ask for 4 GB of memory.
+        (zipped(packed=zipfile.ZIP_LZMA), "packed in a way"),
+        (zipped(packed=zipfile.ZIP_BZIP2), "packed in a way"),
+        # Damage: of samples, of the directory's place (an OSError), of a name that is no UTF-8 (a UnicodeDecodeError).
+        (WHOLE[: len(WHOLE) // 2], "damaged or cut short"),
+        (changed(WHOLE.index(b"logic-1") + 8, b"\xff" * 4), "damaged or cut short"),
+        (changed(END + 16, b"\xff\xff"), "damaged or cut short"),
+        (changed(DIRECTORY + 9, b"\x08" + WHOLE[DIRECTORY + 10 : DIRECTORY + 46] + b"\x90"), "damaged or cut short"),
+    ],
+)
+def test_what_is_no_whole_capture_is_named(path: Path, content: bytes | None, words: str) -> None:
+    if content is not None:
+        path.write_bytes(content)
     with pytest.raises(InputError) as error:
         totals(path, channels="A=0,B=1")
     assert "\n" not in str(error.value)
     assert str(path) in str(error.value)
-    return str(error.value)
+    assert words in str(error.value)
 
 
-def rewritten(path: Path, **entries: bytes | None) -> None:
+def test_a_chunk_that_is_missing_is_named(path: Path, write_capture: Any) -> None:
+    write_capture(path, np.arange(100), {0: "A", 1: "B"}, chunk=10)
     with zipfile.ZipFile(path) as archive:
-        content = {name: archive.read(name) for name in archive.namelist()}
-    content |= {name.replace("_", "-"): data for name, data in entries.items()}  # type: ignore[dict-item]
+        kept = {name: archive.read(name) for name in archive.namelist() if name != "logic-1-4"}
     with zipfile.ZipFile(path, "w") as archive:
-        for name, data in content.items():
-            if data is not None:
-                archive.writestr(name, data)
-
-
-def test_files_that_are_no_capture_are_named(path: Path, tmp_path: Path) -> None:
-    assert "no such file" in refused(path)
-    assert "folder" in refused(tmp_path)
-    path.write_text("G1 X10")
-    assert "not a zip" in refused(path)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("readme", "hello")
-    assert "without 'metadata'" in refused(path)
-
-
-def test_captures_that_lack_something_are_named(path: Path, write_capture: Any) -> None:
-    whole = write_capture(path, np.arange(100), {0: "A", 1: "B"}, chunk=10).read_bytes()
-    rewritten(path, logic_1_4=None)
-    assert "lacks logic-1-4" in refused(path)
-    path.write_bytes(whole)
-    rewritten(path, metadata=b"[global]\nsigrok version=0.5\n[device 1]\ntotal analog=1\nanalog1=V\n")
-    assert "no logic samples" in refused(path)
-    rewritten(path, metadata=b"[device 1]\ncapturefile=logic-7\nprobe1=A\n")
-    assert "no logic-7" in refused(path)
-    rewritten(path, metadata=b"[device 1]\ncapturefile=logic-1\n")
-    assert "names no probes" in refused(path)
-    rewritten(path, metadata=b"[device 1]\ncapturefile=logic-1\nunitsize=0\nprobe1=A\n")
-    assert "unitsize = '0'" in refused(path)
-    rewritten(path, metadata=b"[device 1]\ncapturefile=logic-1\nunitsize=1\nsamplerate=fast\nprobe1=A\n")
-    assert "samplerate = 'fast'" in refused(path)
-    rewritten(path, metadata=b"no section\n")
-    assert "broken metadata" in refused(path)
-    write_capture(path, [], {0: "A", 1: "B"})
-    assert "holds no logic samples" in refused(path)
-
-
-def test_cut_and_damaged_captures_are_named(path: Path, write_capture: Any) -> None:
-    rng = np.random.default_rng(1)
-    whole = write_capture(path, rng.integers(0, 4, 5000), {0: "A", 1: "B"}).read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    assert "damaged or cut short" in refused(path)
-    damaged = bytearray(whole)
-    damaged[len(whole) // 2] ^= 0xFF
-    path.write_bytes(damaged)
-    assert "damaged or cut short" in refused(path)
-    write_capture(path, np.arange(11), {0: "A", 1: "B"})
-    rewritten(path, metadata=b"[device 1]\ncapturefile=logic-1\nunitsize=2\nprobe1=A\nprobe2=B\n")
-    assert "ends within a sample" in refused(path)
+        for name, data in kept.items():
+            archive.writestr(name, data)
+    with pytest.raises(InputError, match="lacks logic-1-4"):
+        totals(path, channels="A=0,B=1")
 
 
 LEFT_RIGHT = "avago_adns_2051_move_mouse_left_right.sr"
@@ -173,88 +187,25 @@ def test_a_motion_controller_steps_there_and_back(captures: Path, step: str, dir
     assert found == capture.Totals(16_000, 16_000, 0, 0, 32_000)
 
 
-@pytest.fixture
-def app() -> cyclopts.App:
-    made = application.application("daq", "files", "daq decode")
-    files.register(made)
-    return made
-
-
+@pytest.mark.parametrize(
+    ("samples", "flags", "expected", "warned"),
+    [
+        (walk_up_and_down(8, 4), ["--decoder", "x1"], {"up": 2, "down": 1, "net": 1, "illegal": 0, "edges": 12}, []),
+        ([0, 3, 0], [], {"illegal": 2}, ["2 illegal"]),  # a warning, no failure
+    ],
+)
 def test_the_command_answers_in_json(
-    path: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], write_capture: Any
+    path: Path, capsys: Any, write_capture: Any, samples: Any, flags: list[str], expected: dict[str, int], warned: Any
 ) -> None:
-    write_capture(path, walk_up_and_down(8, 4), {0: "A", 1: "B"})
-    assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B", "--decoder", "x1", "--json"]) == 0
+    write_capture(path, samples, {0: "A", 1: "B"})
+    assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B", *flags, "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert {key: printed[key] for key in ("up", "down", "net", "illegal", "edges")} == {
-        "up": 2,
-        "down": 1,
-        "net": 1,
-        "illegal": 0,
-        "edges": 12,
-    }
-
-
-def test_illegal_transitions_are_a_warning_not_a_failure(
-    path: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], write_capture: Any
-) -> None:
-    write_capture(path, [0, 3, 0], {0: "A", 1: "B"})
-    assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B"]) == 0
-    assert "warning: 2 illegal" in capsys.readouterr().out
+    assert printed | expected == printed
+    assert len(printed["warnings"]) == len(warned)
+    assert all(words in found for words, found in zip(warned, printed["warnings"], strict=True))
 
 
 def test_an_indented_key_is_no_part_of_a_probe_name(path: Path, write_capture: Any) -> None:
     # 13 of 1015 public captures have such metadata; the keys used to be part of the name above them.
     write_capture(path, [0, 1, 3], {0: 'A "upper"\n\tinverted=no', 1: "B\n    samples=3"})
     assert sigrok.read(path).probes == {0: 'A "upper"', 1: "B"}
-
-
-METADATA = "[device 1]\ncapturefile=logic-1\nsamplerate=1 MHz\nunitsize=1\nprobe1=A\nprobe2=B\n"
-
-
-@pytest.mark.parametrize(
-    ("metadata", "entry", "what"),
-    [
-        (METADATA, "logic-1-3000000000", "no logic samples"),  # took 4.5 GB
-        (METADATA, "logic-1-300000000", "lacks logic-1-1 of"),
-        (METADATA, "logic-1-01", "no logic samples"),  # a KeyError
-        (METADATA.replace("unitsize=1", f"unitsize={'9' * 5000}"), "logic-1", "unitsize"),  # a ValueError
-        (METADATA + f"probe{'9' * 5000}=C\n" + ";" * 2_000_000, "logic-1", "of metadata"),
-        (METADATA.replace("1 MHz", "9" * 400), "logic-1", "samplerate"),  # times that were not numbers
-        (METADATA.replace("1 MHz", "0.0"), "logic-1", "samplerate"),
-    ],
-)
-def test_small_files_that_claim_much_are_refused_at_once(path: Path, metadata: str, entry: str, what: str) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("version", "2")
-        archive.writestr("metadata", metadata)
-        archive.writestr(entry, bytes(1000))
-    with pytest.raises(InputError, match=what):
-        sigrok.read(path)
-
-
-@pytest.mark.parametrize("packed", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
-def test_what_no_logic_analyser_packs_is_refused(path: Path, packed: int) -> None:
-    # Damage in such an entry was a traceback, and its header may ask for 4 GB of memory.
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("metadata", METADATA)
-        archive.writestr("logic-1", bytes(1000), packed)
-    with pytest.raises(InputError, match="packed in a way"):
-        sigrok.read(path)
-
-
-def test_a_damaged_directory_of_the_zip_is_named(path: Path) -> None:
-    # An entry before the beginning of the file was an OSError, a name that is no UTF-8 a UnicodeDecodeError.
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("metadata", METADATA)
-        archive.writestr("logic-1", bytes(1000))
-    content = path.read_bytes()
-    end = content.rindex(b"PK\x05\x06")
-    for place, changed in ((end + 16, b"\xff\xff"), (content.rindex(b"logic"), b"\x90")):
-        damaged = bytearray(content)
-        damaged[place : place + len(changed)] = changed
-        directory = content.rindex(b"PK\x01\x02")
-        damaged[directory + 9] |= 8 if changed == b"\x90" else 0  # names are UTF-8
-        path.write_bytes(damaged)
-        with pytest.raises(InputError, match="damaged or cut short"):
-            sigrok.read(path)

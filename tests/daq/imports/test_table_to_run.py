@@ -144,26 +144,62 @@ def test_a_line_without_quotes_is_split_as_csv_splits_it(delimiter: str, text: s
     assert layout.split_cells(text, delimiter) == row
 
 
+def servo_log() -> str:
+    """Return a table below a preamble with numbers and a line of units, as a servo drive logs it."""
+    lines = [f"{0.001 * k:.3f};{2 * k};{5 + k}" for k in range(12)]
+    head = "Drive;AX-100\nSample time;0,001;s\nChannels;3\n\nTime;Torque;Position\ns;N;mm\n"
+    return head + "\n".join(lines).replace(".", ",") + "\n"
+
+
+RATE = {"frame_rate_hz": 400.0}
+UNITS = "0,1\n2,3\n5,7\n"
+NAMES = "i,Clock,laser A,laser B\n0,0.5,1,2\n1,0.6,3,4\n"
+IMAGEJ = " ,Area,Mean,X,Y,Slice\n" + "".join(f"{k},12,80.5,{10 + k},7,{k}\n" for k in range(1, 4))
+STAMPS = ("23:59:59.500", "23:59:59.750", "00:00:00.000", "0:00:00.250", "00:00:00.50")
+MIDNIGHT = "clock,x\n" + "".join(f"{stamp},{k}\n" for k, stamp in enumerate(STAMPS))
+SERVO = ((np.arange(12) * 1e-3).tolist(), ((5 + np.arange(12)) * 1e-3).tolist())
+
+
 @pytest.mark.parametrize(
-    ("head", "t_size", "x_size", "changes"),
+    ("text", "changes", "time", "position"),
     [
-        ("t,x", 1, 1, {}),
-        ("t (ms),x (cm)", 1e-3, 1e-2, {}),
-        ("time [s],pos [mm]", 1, 1e-3, {}),
-        ("t/ms,x/µm", 1e-3, 1e-6, {}),
-        ("time_s,position_m", 1, 1, {}),
-        ("t,x", 1e-3, 1e-2, {"t_unit": "ms", "x_unit": "cm"}),
-        ("t,x (px)", 1, 2.5e-4, {"x_unit": "0.25 mm"}),
+        # Units come from the flag or the header.
+        (f"t,x\n{UNITS}", {}, [0, 2, 5], [1, 3, 7]),
+        (f"t (ms),x (cm)\n{UNITS}", {}, [0, 2e-3, 5e-3], [1e-2, 3e-2, 7e-2]),
+        (f"time [s],pos [mm]\n{UNITS}", {}, [0, 2, 5], [1e-3, 3e-3, 7e-3]),
+        (f"t/ms,x/µm\n{UNITS}", {}, [0, 2e-3, 5e-3], [1e-6, 3e-6, 7e-6]),
+        (f"time_s,position_m\n{UNITS}", {}, [0, 2, 5], [1, 3, 7]),
+        (f"t,x\n{UNITS}", {"t_unit": "ms", "x_unit": "cm"}, [0, 2e-3, 5e-3], [1e-2, 3e-2, 7e-2]),
+        (f"t,x (px)\n{UNITS}", {"x_unit": "0.25 mm"}, [0, 2, 5], [2.5e-4, 7.5e-4, 1.75e-3]),
+        # A frame rate makes the times, or agrees with them.
+        ("x\n1\n2\n3\n", RATE, [0, 1 / 400, 2 / 400], [1, 2, 3]),
+        ("1,5\n2,5\n3,5\n", RATE | {"position": "1"}, [0, 1 / 400, 2 / 400], [1, 2, 3]),
+        ("frame,x\n7,1\n8,2\n11,3\n", RATE, [0, 1 / 400, 4 / 400], [1, 2, 3]),
+        ("x;y\n1;4\n2;5\n3;6\n", RATE | {"position": "y"}, [0, 1 / 400, 2 / 400], [4, 5, 6]),
+        (IMAGEJ, RATE | {"position": "X", "x_unit": "0.25 mm"}, [0, 1 / 400, 2 / 400], [2.75e-3, 3e-3, 3.25e-3]),
+        ("t,x\n0,1\n0.0025,2\n0.005,2\n0.00752,2\n", RATE, [0, 0.0025, 0.005, 0.00752], [1, 2, 2, 2]),
+        # Columns are chosen by name or number.
+        (NAMES, {"time": "Clock", "position": "laser B"}, [0, 0.1], [2, 4]),
+        (NAMES, {"time": "clock", "position": "LASER B"}, [0, 0.1], [2, 4]),
+        (NAMES, {"time": "2", "position": "4"}, [0, 0.1], [2, 4]),
+        # Uneven times are kept; times of day go on after midnight.
+        ("t,x\n0,1\n0.1,2\n0.35,2\n0.4,5\n", {}, [0, 0.1, 0.35, 0.4], [1, 2, 2, 5]),
+        (MIDNIGHT, {"time": "clock", "clock": True}, [0, 0.25, 0.5, 0.75, 1.0], [0, 1, 2, 3, 4]),
+        # A preamble with numbers and a line of units is passed over; it used to end in "holds 'Drive', not a number".
+        (servo_log(), {}, *SERVO),
+        (servo_log(), {"preamble": 4}, *SERVO),
+        ("Rate,1000\n0,1\n1,2\n2,5\n", {"preamble": 1}, [0, 1, 2], [1, 2, 5]),
     ],
 )
-def test_units_come_from_the_flag_or_the_header(
-    csv: Path, head: str, t_size: float, x_size: float, changes: Any
+def test_a_table_is_read_as_its_header_and_the_options_say(
+    csv: Path, text: str, changes: Any, time: list[float], position: list[float]
 ) -> None:
-    csv.write_text(f"{head}\n0,1\n2,3\n5,7\n")
+    csv.write_text(text)
     found = table_to_run.read(csv, ImportOptions(**changes))
-    np.testing.assert_allclose(found.run.time, np.array([0, 2, 5]) * t_size, rtol=1e-15)
-    np.testing.assert_allclose(found.run.position, np.array([1, 3, 7]) * x_size, rtol=1e-15)
+    np.testing.assert_allclose(found.run.time, time, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found.run.position, position, rtol=1e-12)
     assert found.warnings == ()
+    assert found.even == (np.ptp(np.diff(time)) < 1e-9)
 
 
 def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
@@ -171,37 +207,6 @@ def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
     found = table_to_run.read(csv, ImportOptions(x_unit="mm"))
     assert found.run.position.tolist() == [0.001, 0.003]
     assert "not in cm" in found.warnings[0]
-
-
-@pytest.mark.parametrize(
-    ("text", "changes", "time", "position"),
-    [
-        ("x\n1\n2\n3\n", {"frame_rate_hz": 400.0}, [0, 1, 2], [1, 2, 3]),
-        ("1,5\n2,5\n3,5\n", {"frame_rate_hz": 400.0, "position": "1"}, [0, 1, 2], [1, 2, 3]),
-        ("frame,x\n7,1\n8,2\n11,3\n", {"frame_rate_hz": 400.0}, [0, 1, 4], [1, 2, 3]),
-        ("x;y\n1;4\n2;5\n3;6\n", {"frame_rate_hz": 400.0, "position": "y"}, [0, 1, 2], [4, 5, 6]),
-    ],
-)
-def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: Any, position: Any) -> None:
-    csv.write_text(text)
-    found = table_to_run.read(csv, ImportOptions(**changes))
-    np.testing.assert_allclose(found.run.time, np.array(time) / 400, rtol=1e-15)
-    assert found.run.position.tolist() == position
-
-
-def test_columns_are_chosen_by_name_or_number(csv: Path) -> None:
-    csv.write_text("i,Clock,laser A,laser B\n0,0.5,1,2\n1,0.6,3,4\n")
-    for time, position in (("Clock", "laser B"), ("clock", "LASER B"), ("2", "4")):
-        found = table_to_run.read(csv, ImportOptions(time=time, position=position))
-        assert found.run.position.tolist() == [2, 4]
-        np.testing.assert_allclose(found.run.time, [0, 0.1], atol=1e-15)
-
-
-def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
-    csv.write_text("t,x\n0,1\n0.1,2\n0.35,2\n0.4,5\n")
-    found = table_to_run.read(csv, ImportOptions())
-    assert not found.even
-    assert found.run.time.tolist() == [0, 0.1, 0.35, 0.4]
 
 
 @pytest.mark.parametrize("belt", [0.22, -0.22])
@@ -255,13 +260,6 @@ def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
     np.testing.assert_allclose(found.run.time, time, atol=1e-6)
     assert len(found.warnings) == 1
     assert "times were multiplied by 0.075" in found.warnings[0]
-
-
-def test_times_that_agree_with_the_given_frame_rate_stay_as_they_are(csv: Path) -> None:
-    csv.write_text("t,x\n0,1\n0.0025,2\n0.005,2\n0.00752,2\n")
-    found = table_to_run.read(csv, ImportOptions(frame_rate_hz=400.0))
-    assert found.run.time.tolist() == [0, 0.0025, 0.005, 0.00752]
-    assert found.warnings == ()
 
 
 def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv: Path) -> None:
@@ -379,29 +377,6 @@ def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
     assert "modification" in str(table_to_run.read(csv, ImportOptions()).run.provenance["start_time_from"])
 
 
-def servo_log(rows: str = "") -> str:
-    """Return a table below a preamble with numbers and a line of units, as a servo drive logs it."""
-    lines = [f"{0.001 * k:.3f};{2 * k};{5 + k}" for k in range(12)]
-    head = "Drive;AX-100\nSample time;0,001;s\nChannels;3\n\nTime;Torque;Position\ns;N;mm\n"
-    return head + rows + "\n".join(lines).replace(".", ",") + "\n"
-
-
-@pytest.mark.parametrize("changes", [{}, {"preamble": 4}])
-def test_a_preamble_with_numbers_and_a_line_of_units_is_passed_over(csv: Path, changes: Any) -> None:
-    """Used to end in "holds 'Drive', not a number"; a line of units was taken for the names."""
-    csv.write_text(servo_log())
-    found = table_to_run.read(csv, ImportOptions(**changes))
-    np.testing.assert_allclose(found.run.time, np.arange(12) * 1e-3, atol=1e-12)
-    np.testing.assert_allclose(found.run.position, (5 + np.arange(12)) * 1e-3, rtol=1e-12)
-
-
-def test_a_preamble_that_could_be_data_is_asked_about(csv: Path) -> None:
-    csv.write_text("Rate,1000\n0,1\n1,2\n2,5\n")
-    with pytest.raises(InputError, match=r"line 1, column 1: column 1 holds 'Rate', not a number.*preamble 1"):
-        table_to_run.read(csv, ImportOptions())
-    assert table_to_run.read(csv, ImportOptions(preamble=1)).run.position.tolist() == [1, 2, 5]
-
-
 def test_bad_lines_are_counted_and_left_out_on_request(csv: Path, app: cyclopts.App, capsys: Any) -> None:
     """Any empty cell used to stop the import."""
     rows = [f"{0.01 * k:.2f},{k}" for k in range(40)]
@@ -421,25 +396,6 @@ def test_bad_lines_are_counted_and_left_out_on_request(csv: Path, app: cyclopts.
     run = store.load(csv.with_name("run.h5"))
     assert "skipped_lines = [5, 9, 13, 22, 23, 32]" in run.config_toml
     np.testing.assert_allclose(run.position[:5], np.array([0, 1, 2, 4, 5]) * 1e-3)
-
-
-def test_times_of_day_are_read_across_midnight(csv: Path) -> None:
-    stamps = ["23:59:59.500", "23:59:59.750", "00:00:00.000", "0:00:00.250", "00:00:00.50"]
-    csv.write_text("clock,x\n" + "".join(f"{stamp},{k}\n" for k, stamp in enumerate(stamps)))
-    with pytest.raises(InputError, match=r"times of day such as 23:59:59\.500; give clock"):
-        table_to_run.read(csv, ImportOptions(time="clock"))
-    found = table_to_run.read(csv, ImportOptions(time="clock", clock=True))
-    np.testing.assert_allclose(found.run.time, [0, 0.25, 0.5, 0.75, 1.0], atol=1e-9)
-
-
-def test_the_results_table_of_imagej_takes_a_frame_rate(csv: Path) -> None:
-    csv.write_text(" ,Area,Mean,X,Y,Slice\n" + "".join(f"{k},12,80.5,{10 + k},{7},{k}\n" for k in range(1, 9)))
-    options_ = {"position": "X", "x_unit": "0.25 mm"}
-    with pytest.raises(InputError, match="frame numbers but no times; give frame_rate"):
-        table_to_run.read(csv, ImportOptions(**options_))
-    found = table_to_run.read(csv, ImportOptions(**options_, frame_rate_hz=400.0))
-    np.testing.assert_allclose(found.run.time, np.arange(8) / 400, atol=1e-12)
-    np.testing.assert_allclose(found.run.position, (11 + np.arange(8)) * 2.5e-4)
 
 
 @pytest.mark.parametrize(
