@@ -63,38 +63,19 @@ def test_every_sample_comes_through(make_fake, tmp_path):
     assert any("whole milliseconds" in warning for warning in found.warnings) == (fake.columns == "ticks,ms")
 
 
-def test_a_dropped_unit_is_counted_and_marked_and_never_filled(make_fake, tmp_path):
-    fake = make_fake({1500: "drop", 1600: "drop"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert found.lost == 2 * fake.unit
-    assert found.samples + found.lost == 1900 * fake.unit + fake.lead
-    assert [kind for _, kind in kinds(run) if kind == "gap"] == ["gap", "gap"]
+def test_faults_of_the_line_cost_their_units_and_nothing_else(make_fake, tmp_path):
+    """What is lost is counted, marked and never filled; what comes twice is left out."""
+    fake = make_fake({1500: "drop", 1550: "twice", 1600: "late", 1700: "flip", 1800: "drop"})
+    unit = fake.unit
+    found, run = taken(fake, tmp_path, 1900 * unit)
+    assert (found.lost, found.crc_errors, found.segments) == (4 * unit, 1, 1)
+    assert found.samples + found.lost == 1900 * unit + fake.lead
+    assert any(f"{2 * unit} samples came twice or late" in warning for warning in found.warnings)
     assert np.ptp(offsets(fake, run)) == 0
-    assert found.segments == 1
-
-
-def test_a_repeated_unit_is_left_out(make_fake, tmp_path):
-    fake = make_fake({1500: "twice"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert (found.samples, found.lost, found.segments) == (1900 * fake.unit + fake.lead, 0, 1)
-    assert any(f"{fake.unit} samples came twice or late" in warning for warning in found.warnings)
-    assert np.ptp(offsets(fake, run)) == 0
-
-
-def test_a_late_unit_is_lost_and_nothing_else(make_fake, tmp_path):
-    fake = make_fake({1500: "late"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert (found.lost, found.segments) == (fake.unit, 1)
-    assert any(f"{fake.unit} samples came twice or late" in warning for warning in found.warnings)
-    assert np.ptp(offsets(fake, run)) == 0
-
-
-def test_a_flipped_bit_costs_its_unit(make_fake, tmp_path):
-    fake = make_fake({1500: "flip"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert (found.crc_errors, found.lost, found.segments) == (1, fake.unit, 1)
-    assert "crc" in [kind for _, kind in kinds(run)]
-    assert np.ptp(offsets(fake, run)) == 0
+    before = np.flatnonzero(np.diff(np.round(run.time * fake.rate_hz)) > 1)
+    assert np.diff(before).tolist() == [99 * unit] * 3
+    assert {(sample, kind) for sample, kind in kinds(run) if kind == "gap"} == {(k + 1, "gap") for k in before}
+    assert "crc" in run.event_kind
 
 
 def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
