@@ -22,6 +22,7 @@ COMMANDS = {
     "process": "processing.cli",
     "fit-friction": "fitting.cli",
     "rig-sim": "rig_sim.cli.app",
+    "stickslip": "stickslip.console.commands",
 }
 TEXTS = {
     "bad.toml": '[mass]\nm = "heavy"\n[spring]\nk = 1\n',
@@ -119,6 +120,12 @@ REFUSED = [
     ("rig-sim lyapunov base --events 100", "has no drive", "drive.u0"),
     ("rig-sim lock forced --period 2 --budget 10", "--budget", "10", "from 0 to 1"),
     ("rig-sim atlas nofigure -o out", "nofigure", "known"),
+    ("rig-sim continue damped --over damper.c=0.3:0.6 --plot c.png", "--plot; "),  # "Unknown option: --plot.;"
+    # stickslip: an error names the command that was typed.
+    ("stickslip fit none.h5", "stickslip: none.h5: no such file; check the path"),
+    ("stickslip sim cycle nowhere", "stickslip: scene: no built-in scene 'nowhere'"),
+    ("stickslip smooth --windw 5", "see 'stickslip smooth --help'"),
+    ("stickslip smoth run.h5", "see 'stickslip --help'"),
     # daq record.
     ("daq record -o odd.h5 --set belt.sped=1", "belt.sped", "speed"),
     ("daq record -o run.h5", "run.h5", "--force"),
@@ -181,7 +188,28 @@ REFUSED = [
     ("daq recover run.h5", "give the RUN.h5.part"),
     ("daq recover junk.h5.part", "junk.h5.part"),
     ("daq run.h5.part", "did you mean 'daq recover run.h5.part'"),
+    ("daq export run.h5", "-o FILE.csv", "-o FILE.parquet"),
     ("daq export run.h5 -o run.xlsx", ".csv or .parquet"),
+    ("daq export run.h5 -o run.dat", "run.dat", ".csv or .parquet"),
+    ("daq export run.h5 -o table.h5", "table.h5", "a run file (HDF5)", ".csv or .parquet"),
+    ("daq export run.h5 --csv table.parquet", "table.parquet", "a Parquet table", "table.csv"),
+    ("daq export run.h5 -o new.csv --csv ./new.csv", "new.csv", "two outputs"),
+    ("daq export run.h5 --csv two.csv", "two.csv", "--force"),
+    ("daq export run.h5 --parquet no/where.parquet", "no/where.parquet", "folder"),
+    # Of HDF5 under the name of a table, which was written, exit code 0.
+    *(
+        (line, "is the suffix of a", "name it out.h5 (-o)", "daq export out.h5 -o out.")
+        for line in (
+            "daq record --duration 1 -o out.csv",
+            "daq record --duration 1 -o out.CSV",
+            "daq record --duration 1 -o out.txt",
+            "daq record --duration 1 -o out.parquet",
+            "daq import table.csv -o out.csv",
+            "daq replay board.h5.part -o out.csv",
+            "daq recover board.h5.part -o out.csv",
+        )
+    ),
+    ("daq calibrate -o out.csv", "out.csv: .csv is the suffix of a CSV table"),
     ("daq export run --csv run --force", "run", "own source"),
     ("daq replay run.h5", "give -o"),
     ("daq replay run.h5 -o run.h5 --force", "run.h5", "own source"),

@@ -1,6 +1,7 @@
 """What each command loads: only what it needs, seen through sys.modules in a process of its own."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -69,7 +70,7 @@ def test_a_cycle_loads_no_scipy_numba_or_matplotlib():
 
 
 def test_smoothing_loads_no_table_and_no_picture(tmp_path):
-    loaded("daq", ["record", "--duration", "3", "-o", "run.h5", "--json"], cwd=tmp_path)
+    shutil.copy(f"{ROOT}/data_samples/law5.h5", tmp_path / "run.h5")
     (names,) = loaded("process", ["smooth", "run.h5", "--json"], cwd=tmp_path)
     assert "numba" in names
     assert not names & {"pandas", "matplotlib"}
