@@ -29,19 +29,14 @@ SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 DURATION_S = 14
 # What the browser itself says of a connection that a test cuts, and of a page that is not there.
 EXPECTED = "ERR_INTERNET_DISCONNECTED|ERR_CONNECTION_REFUSED|ERR_INCOMPLETE_CHUNKED_ENCODING|404"
-SIZES = ((1400, 900), (1200, 860), (768, 1024), (390, 844))
+# Each is looked at in its own theme and in the other one.
+SIZES = ((1400, 900, "dark"), (1200, 860, "light"), (768, 1024, "dark"), (390, 844, "light"))
 
 
-@pytest.fixture(scope="module")
-def browser(chromium: str) -> Iterator[Any]:
-    for name in ("playwright", "starlette", "uvicorn", "uplot"):
+@pytest.fixture(autouse=True, scope="module")
+def live_view() -> None:
+    for name in ("starlette", "uvicorn", "uplot"):
         need(find_spec(name), f"{name} is not installed")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as start:
-        made = start.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        yield made
-        made.close()
 
 
 @contextmanager
@@ -231,9 +226,8 @@ def test_break_aways_lie_over_one_another(run_page: Any, tmp_path: Path) -> None
     assert v[(t > 0.1) & (t < 0.3)].max() < 0.2
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_everything_fits_and_can_be_read(browser: Any, finished: str, theme: str, width: int, height: int) -> None:
+@pytest.mark.parametrize(("width", "height", "theme"), SIZES)
+def test_everything_fits_and_can_be_read(browser: Any, finished: str, width: int, height: int, theme: str) -> None:
     with opened(browser, finished, width, height, color_scheme=theme) as page:
         says(page, "state", "finished run")
         until(page, "summary.cycles > 4")
