@@ -40,7 +40,7 @@ sys.stderr.write("\\nLOADED " + json.dumps(found))
 """
 
 
-def loaded(command: str, *lines: list[str], cwd: object = None) -> list[set[str]]:
+def loaded(command, *lines, cwd=None):
     """Run a command, line after line, in a fresh interpreter; return the modules and submodules after each."""
     source = LOADER.format(lines=[[command, *line] for line in lines], module=MODULES[command])
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, cwd=cwd, check=False)

@@ -3,8 +3,6 @@
 import io
 import json
 import zipfile
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,22 +18,20 @@ from stickslip.console import application
 from stickslip.errors import InputError
 
 
-def walk_up_and_down(up: int, down: int) -> Any:
+def walk_up_and_down(up, down):
     """Return A, B levels of ``up`` x4 counts up, then ``down`` down, two samples each."""
     count = np.concatenate((np.arange(up + 1), up - 1 - np.arange(down)))
     return np.repeat(GRAY[count & 3].astype(np.int64), 2)
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     return tmp_path / "capture.sr"
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), unitsize=st.integers(1, 4))
-def test_every_probe_reads_back_whatever_the_chunks(
-    path: Path, data: st.DataObject, unitsize: int, write_capture: Any
-) -> None:
+def test_every_probe_reads_back_whatever_the_chunks(path, data, unitsize, write_capture):
     samples = data.draw(hnp.arrays(np.uint64, st.integers(1, 60), elements=st.integers(0, 256**unitsize - 1)))
     chunk = data.draw(st.none() | st.integers(1, 20))
     bits = data.draw(st.lists(st.integers(0, 8 * unitsize - 1), min_size=2, max_size=2, unique=True))
@@ -47,7 +43,7 @@ def test_every_probe_reads_back_whatever_the_chunks(
     np.testing.assert_array_equal(levels, wanted)
 
 
-def test_chunks_follow_by_number_not_by_name(path: Path, write_capture: Any) -> None:
+def test_chunks_follow_by_number_not_by_name(path, write_capture):
     found = sigrok.read(write_capture(path, np.arange(24), {0: "A"}, chunk=2))
     assert found.entries == tuple(f"logic-1-{number}" for number in range(1, 13))
 
@@ -56,36 +52,34 @@ def test_chunks_follow_by_number_not_by_name(path: Path, write_capture: Any) -> 
     ("text", "hertz"),
     [("1 MHz", 1e6), ("12 MHz", 12e6), ("500 kHz", 5e5), ("20000", 2e4), ("1.5 GHz", 1.5e9), (None, None)],
 )
-def test_the_rate_is_read_and_never_guessed(
-    path: Path, text: str | None, hertz: float | None, write_capture: Any
-) -> None:
+def test_the_rate_is_read_and_never_guessed(path, text, hertz, write_capture):
     assert sigrok.read(write_capture(path, [0, 1], {0: "A"}, rate=text)).rate_hz == hertz
 
 
-def test_probes_are_called_by_name_before_index(path: Path, write_capture: Any) -> None:
+def test_probes_are_called_by_name_before_index(path, write_capture):
     found = sigrok.read(write_capture(path, [0, 1], {0: "1", 1: "0", 2: "XA", 5: "XB"}))
     assert [found.bit(name, "--step") for name in ("1", "0", "XA", "2", "5")] == [0, 1, 2, 2, 5]
 
 
-def totals(path: Path, decoder: str | None = None, **probes: str) -> capture.Totals:
+def totals(path, decoder=None, **probes):
     found = sigrok.read(path)
     wired = capture.choose_wiring(found, ProbeOptions(**probes, decoder=decoder))
     return capture.decode(found, wired)
 
 
 @pytest.mark.parametrize("chunk", [None, 1, 7])
-def test_a_known_walk_counts_as_walked(path: Path, chunk: int | None, write_capture: Any) -> None:
+def test_a_known_walk_counts_as_walked(path, chunk, write_capture):
     write_capture(path, walk_up_and_down(101, 60) << 3, {3: "A", 4: "B"}, chunk=chunk)
     assert totals(path, channels="A=A,B=B") == capture.Totals(101, 60, 41, 0, 161)
     assert totals(path, channels="B=A,A=B") == capture.Totals(60, 101, -41, 0, 161)
 
 
-def test_both_channels_at_once_are_illegal_and_not_counted(path: Path, write_capture: Any) -> None:
+def test_both_channels_at_once_are_illegal_and_not_counted(path, write_capture):
     write_capture(path, [0, 1, 3, 0, 1], {0: "A", 1: "B"})
     assert totals(path, channels="A=A,B=B") == capture.Totals(3, 0, 3, 1, 4)
 
 
-def test_step_and_direction_count_rises(path: Path, write_capture: Any) -> None:
+def test_step_and_direction_count_rises(path, write_capture):
     step = np.array([1, 0, 1, 0, 1, 1, 0, 1, 0])  # high from the start: not seen to rise
     direction = np.array([1, 1, 1, 1, 1, 0, 0, 0, 0])
     write_capture(path, step + 2 * direction, {0: "step", 1: "dir"})
@@ -96,7 +90,7 @@ METADATA = "[device 1]\ncapturefile=logic-1\nsamplerate=1 MHz\nunitsize=1\nprobe
 BYTES = bytes([0, 1, 3, 2] * 250)
 
 
-def zipped(metadata: str | None = METADATA, entry: str = "logic-1", packed: int = zipfile.ZIP_DEFLATED) -> bytes:
+def zipped(metadata=METADATA, entry="logic-1", packed=zipfile.ZIP_DEFLATED):
     """Return a capture of these metadata, whose samples are in this entry."""
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -107,7 +101,7 @@ def zipped(metadata: str | None = METADATA, entry: str = "logic-1", packed: int 
     return made.getvalue()
 
 
-def changed(at: int, data: bytes) -> bytes:
+def changed(at, data):
     whole = bytearray(zipped())
     whole[at : at + len(data)] = data
     return bytes(whole)
@@ -148,7 +142,7 @@ END, DIRECTORY = WHOLE.rindex(b"PK\x05\x06"), WHOLE.rindex(b"PK\x01\x02")
         (changed(DIRECTORY + 9, b"\x08" + WHOLE[DIRECTORY + 10 : DIRECTORY + 46] + b"\x90"), "damaged or cut short"),
     ],
 )
-def test_what_is_no_whole_capture_is_named(path: Path, content: bytes | None, words: str) -> None:
+def test_what_is_no_whole_capture_is_named(path, content, words):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(InputError) as error:
@@ -158,7 +152,7 @@ def test_what_is_no_whole_capture_is_named(path: Path, content: bytes | None, wo
     assert words in str(error.value)
 
 
-def test_a_chunk_that_is_missing_is_named(path: Path, write_capture: Any) -> None:
+def test_a_chunk_that_is_missing_is_named(path, write_capture):
     write_capture(path, np.arange(100), {0: "A", 1: "B"}, chunk=10)
     with zipfile.ZipFile(path) as archive:
         kept = {name: archive.read(name) for name in archive.namelist() if name != "logic-1-4"}
@@ -174,7 +168,7 @@ UP_DOWN = "avago_adns_2051_move_mouse_up_down.sr"
 
 
 @pytest.mark.parametrize(("name", "channels", "edges"), [(LEFT_RIGHT, "A=XA,B=XB", 1041), (UP_DOWN, "A=YA,B=YB", 629)])
-def test_a_mouse_moves_by_the_stated_edges(captures: Path, name: str, channels: str, edges: int) -> None:
+def test_a_mouse_moves_by_the_stated_edges(captures, name, channels, edges):
     found = totals(captures / name, channels=channels)
     assert found.edges == edges
     assert found.illegal == 0
@@ -182,7 +176,7 @@ def test_a_mouse_moves_by_the_stated_edges(captures: Path, name: str, channels: 
 
 
 @pytest.mark.parametrize(("step", "direction"), [("3", "4"), ("5", "6")])
-def test_a_motion_controller_steps_there_and_back(captures: Path, step: str, direction: str) -> None:
+def test_a_motion_controller_steps_there_and_back(captures, step, direction):
     found = totals(captures / "smoothieware.sr", step=step, direction=direction)
     assert found == capture.Totals(16_000, 16_000, 0, 0, 32_000)
 
@@ -194,9 +188,7 @@ def test_a_motion_controller_steps_there_and_back(captures: Path, step: str, dir
         ([0, 3, 0], [], {"illegal": 2}, ["2 illegal"]),  # a warning, no failure
     ],
 )
-def test_the_command_answers_in_json(
-    path: Path, capsys: Any, write_capture: Any, samples: Any, flags: list[str], expected: dict[str, int], warned: Any
-) -> None:
+def test_the_command_answers_in_json(path, capsys, write_capture, samples, flags, expected, warned):
     write_capture(path, samples, {0: "A", 1: "B"})
     assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B", *flags, "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -205,7 +197,7 @@ def test_the_command_answers_in_json(
     assert all(words in found for words, found in zip(warned, printed["warnings"], strict=True))
 
 
-def test_an_indented_key_is_no_part_of_a_probe_name(path: Path, write_capture: Any) -> None:
+def test_an_indented_key_is_no_part_of_a_probe_name(path, write_capture):
     # 13 of 1015 public captures have such metadata; the keys used to be part of the name above them.
     write_capture(path, [0, 1, 3], {0: 'A "upper"\n\tinverted=no', 1: "B\n    samples=3"})
     assert sigrok.read(path).probes == {0: 'A "upper"', 1: "B"}

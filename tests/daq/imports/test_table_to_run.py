@@ -6,7 +6,6 @@ from csv import reader
 from pathlib import Path
 from typing import Any
 
-import cyclopts
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -25,7 +24,7 @@ from stickslip.units import Measured
 MASS, STIFFNESS = 0.3, 10.5552  # pi sqrt(m/k) = 0.52963 s
 
 
-def sawtooth(rate_hz: float, until: float = 12.0, belt: float = 0.22) -> tuple[Any, Any]:
+def sawtooth(rate_hz, until=12.0, belt=0.22):
     """Stick at belt speed, then slip half a cosine in pi sqrt(m/k): turning points exactly that far apart."""
     slip = math.pi * math.sqrt(MASS / STIFFNESS)
     stick = 1.1
@@ -37,14 +36,12 @@ def sawtooth(rate_hz: float, until: float = 12.0, belt: float = 0.22) -> tuple[A
     return time, np.where(phase < stick, sticking, slipping)
 
 
-def options(**changes: Any) -> ImportOptions:
+def options(**changes):
     known: dict[str, Any] = {"mass": Measured(MASS), "stiffness": Measured(STIFFNESS)}
     return ImportOptions(**(known | {"started": "2024-05-01T12:00:00+02:00"} | changes))
 
 
-def make(
-    path: Path, head: str, rows: Any, *, delimiter: str = ",", decimal: str = ".", end: str = "\n", **how: Any
-) -> Path:
+def make(path, head, rows, *, delimiter=",", decimal=".", end="\n", **how):
     lines = [delimiter.join(f"{cell:.9g}".replace(".", decimal) for cell in row) for row in rows]
     text = head + "".join(line + end for line in lines)
     path.write_bytes(text.encode(how.get("encoding", "utf-8")))
@@ -52,7 +49,7 @@ def make(
 
 
 @pytest.fixture
-def csv(tmp_path: Path) -> Path:
+def csv(tmp_path):
     return tmp_path / "track.csv"
 
 
@@ -77,7 +74,7 @@ FORMATS = [
 
 
 @pytest.mark.parametrize(("head", "how"), FORMATS)
-def test_the_format_is_found(csv: Path, head: str, how: dict[str, Any]) -> None:
+def test_the_format_is_found(csv, head, how):
     time, x = sawtooth(100, 3)
     how = dict(how)
     columns = [time, x, x] if how.pop("wide", False) else [time, x]
@@ -95,7 +92,7 @@ def test_the_format_is_found(csv: Path, head: str, how: dict[str, Any]) -> None:
     ),
     head=st.booleans(),
 )
-def test_any_table_reads_back(tmp_path: Path, rows: Any, how: tuple[str, str], head: bool) -> None:
+def test_any_table_reads_back(tmp_path, rows, how, head):
     delimiter, decimal = how
     # Written with three decimals: a table of whole numbers alone does not tell its decimal sign.
     lines = [delimiter.join(f"{cell:.3f}".replace(".", decimal) for cell in row) for row in rows]
@@ -121,7 +118,7 @@ CELL = st.sampled_from(
     st.sampled_from(".,"),
     st.booleans(),
 )
-def test_cells_converted_together_are_converted_as_one_by_one(rows: Any, decimal: str, alike: bool) -> None:
+def test_cells_converted_together_are_converted_as_one_by_one(rows, decimal, alike):
     """Each cell of a long table used to be matched by itself: 12 CPU s for 376 s at 2 kHz."""
     rows = [row[:1] * 2 if alike else row for row in rows]
     cells = table.Table(Path("x.csv"), (), rows, list(range(1, len(rows) + 1)), 2, ";", decimal)
@@ -139,12 +136,12 @@ def test_cells_converted_together_are_converted_as_one_by_one(rows: Any, decimal
 
 @pytest.mark.parametrize("delimiter", "\t;,|")
 @given(text=st.text('1.5-e;,|\t "x\u00e9', min_size=1, max_size=12))
-def test_a_line_without_quotes_is_split_as_csv_splits_it(delimiter: str, text: str) -> None:
+def test_a_line_without_quotes_is_split_as_csv_splits_it(delimiter, text):
     row = next(reader([text.strip(" ")], delimiter=delimiter, skipinitialspace=True), [])
     assert layout.split_cells(text, delimiter) == row
 
 
-def servo_log() -> str:
+def servo_log():
     """Return a table below a preamble with numbers and a line of units, as a servo drive logs it."""
     lines = [f"{0.001 * k:.3f};{2 * k};{5 + k}" for k in range(12)]
     head = "Drive;AX-100\nSample time;0,001;s\nChannels;3\n\nTime;Torque;Position\ns;N;mm\n"
@@ -191,9 +188,7 @@ SERVO = ((np.arange(12) * 1e-3).tolist(), ((5 + np.arange(12)) * 1e-3).tolist())
         ("Rate,1000\n0,1\n1,2\n2,5\n", {"preamble": 1}, [0, 1, 2], [1, 2, 5]),
     ],
 )
-def test_a_table_is_read_as_its_header_and_the_options_say(
-    csv: Path, text: str, changes: Any, time: list[float], position: list[float]
-) -> None:
+def test_a_table_is_read_as_its_header_and_the_options_say(csv, text, changes, time, position):
     csv.write_text(text)
     found = table_to_run.read(csv, ImportOptions(**changes))
     np.testing.assert_allclose(found.run.time, time, rtol=1e-12, atol=1e-12)
@@ -202,7 +197,7 @@ def test_a_table_is_read_as_its_header_and_the_options_say(
     assert found.even == (np.ptp(np.diff(time)) < 1e-9)
 
 
-def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
+def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv):
     csv.write_text("t,x (cm)\n0,1\n2,3\n")
     found = table_to_run.read(csv, ImportOptions(x_unit="mm"))
     assert found.run.position.tolist() == [0.001, 0.003]
@@ -210,7 +205,7 @@ def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
 
 
 @pytest.mark.parametrize("belt", [0.22, -0.22])
-def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -> None:
+def test_the_half_period_of_the_slip_is_found_in_either_direction(belt):
     time, x = sawtooth(400, belt=belt)
     swing = frame_rate.measure_half_period(time, x)
     assert swing.duration == pytest.approx(math.pi * math.sqrt(MASS / STIFFNESS), abs=1 / 400)
@@ -219,12 +214,12 @@ def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -
     assert swing.longest - swing.shortest == pytest.approx(4 / 400)
 
 
-def test_a_right_frame_rate_is_accepted(csv: Path) -> None:
+def test_a_right_frame_rate_is_accepted(csv):
     found = table_to_run.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options())
     assert found.warnings == ()
 
 
-def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> None:
+def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv):
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
     found = table_to_run.read(csv, options())
@@ -235,7 +230,7 @@ def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> Non
 
 @pytest.mark.parametrize("slower", [1 / 128, 1.0, 64.0])
 @pytest.mark.parametrize("samples", [1.3, 2.2, 2.9, 4.0, 5.1, 7.0])
-def test_few_samples_a_slip_are_no_wrong_frame_rate(csv: Path, samples: float, slower: float) -> None:
+def test_few_samples_a_slip_are_no_wrong_frame_rate(csv, samples, slower):
     """A slip lasts a whole number of samples: at 4 a slip "the frame rate must be wrong" was said of a right one."""
     slip = math.pi * math.sqrt(MASS / STIFFNESS)
     time, x = sawtooth(samples / slip, until=60.0)
@@ -246,14 +241,14 @@ def test_few_samples_a_slip_are_no_wrong_frame_rate(csv: Path, samples: float, s
 
 @pytest.mark.parametrize("factor", [0.125, 4.0])
 @pytest.mark.parametrize("samples", [5.1, 7.0, 20.0])
-def test_a_wrong_frame_rate_is_noticed_at_few_samples_a_slip(csv: Path, samples: float, factor: float) -> None:
+def test_a_wrong_frame_rate_is_noticed_at_few_samples_a_slip(csv, samples, factor):
     slip = math.pi * math.sqrt(MASS / STIFFNESS)
     time, x = sawtooth(samples / slip, until=60.0)
     make(csv, "t [s],x [m]\n", zip(time * factor, x, strict=True))
     assert "frame rate must be wrong" in table_to_run.read(csv, options()).warnings[0]
 
 
-def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
+def test_a_given_frame_rate_corrects_the_times_and_says_so(csv):
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))
     found = table_to_run.read(csv, options(frame_rate_hz=400.0))
@@ -262,7 +257,7 @@ def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
     assert "times were multiplied by 0.075" in found.warnings[0]
 
 
-def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv: Path) -> None:
+def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv):
     csv.write_text("t,x\n0,0\n1,1\n2,2\n")
     assert "could not be checked" in table_to_run.read(csv, options()).warnings[0]
 
@@ -284,12 +279,12 @@ def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv: Path) -
         ("5 \N{GREEK SMALL LETTER MU}s", "time", 5e-6),
     ],
 )
-def test_quantities_are_read_in_si(text: str, dimension: str, value: float) -> None:
+def test_quantities_are_read_in_si(text, dimension, value):
     assert units.quantity(text, dimension, "--flag") == pytest.approx(value, rel=1e-15)
 
 
 @pytest.mark.parametrize("text", ["300 g +- 1 g", "0.3 ± 0.001", "300 +/- 1 g", "0.3 kg +- 1 g"])
-def test_a_quantity_may_carry_its_error(text: str) -> None:
+def test_a_quantity_may_carry_its_error(text):
     found = units.measured(text, "mass", "--mass")
     assert (found.value, found.sd) == pytest.approx((0.3, 0.001), rel=1e-12)
 
@@ -307,7 +302,7 @@ def test_a_quantity_may_carry_its_error(text: str) -> None:
         ("1e999 kg", ["too large"]),
     ],
 )
-def test_what_is_no_quantity_is_refused(text: str, words: list[str]) -> None:
+def test_what_is_no_quantity_is_refused(text, words):
     with pytest.raises(InputError) as error:
         units.measured(text, "mass", "--mass")
     for word in words:
@@ -315,13 +310,13 @@ def test_what_is_no_quantity_is_refused(text: str, words: list[str]) -> None:
 
 
 @pytest.fixture
-def app() -> cyclopts.App:
+def app():
     made = application.application("daq", "files", "daq import track.csv")
     files.register(made)
     return made
 
 
-def test_the_command_writes_a_run_that_loads(csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_run_that_loads(csv, app, capsys):
     time, x = sawtooth(400)
     make(csv, "t;x [cm]\n", zip(time, 100 * x, strict=True), delimiter=";", decimal=",")
     target = csv.with_name("run.h5")
@@ -343,9 +338,7 @@ def test_the_command_writes_a_run_that_loads(csv: Path, app: cyclopts.App, capsy
 
 
 @pytest.mark.parametrize("text", ["-60 mm +- 0.1 mm", "-0.06 +- 1e-4"])
-def test_the_rest_position_is_a_reading_and_leaves_the_readings_as_they_are(
-    csv: Path, app: cyclopts.App, text: str
-) -> None:
+def test_the_rest_position_is_a_reading_and_leaves_the_readings_as_they_are(csv, app, text):
     """There was --datum alone, which is -x0 and is added to every position; '-60 mm' was taken for a flag."""
     time, x = sawtooth(400)
     make(csv, "t (s),x (m)\n", zip(time, x, strict=True))
@@ -358,9 +351,7 @@ def test_the_rest_position_is_a_reading_and_leaves_the_readings_as_they_are(
 
 
 @pytest.mark.parametrize(("flag", "value"), [("--x0", "-5 m"), ("--datum", "5 m")])
-def test_a_rest_position_far_from_the_travel_is_asked_about(
-    csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], flag: str, value: str
-) -> None:
+def test_a_rest_position_far_from_the_travel_is_asked_about(csv, app, capsys, flag, value):
     time, x = sawtooth(400)
     make(csv, "t (s),x (m)\n", zip(time, x, strict=True))
     line = ["import", str(csv), "-o", str(csv.with_name("run.h5")), flag, value, "--json"]
@@ -370,14 +361,14 @@ def test_a_rest_position_far_from_the_travel_is_asked_about(
     assert "are its sign and its unit right?" in asked
 
 
-def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
+def test_the_start_is_the_files_date_unless_given(csv):
     csv.write_text("t,x\n0,1\n1.5,2\n")
     given_start = table_to_run.read(csv, ImportOptions(started="2024-05-01T12:00:00+02:00")).run
     assert (given_start.started, given_start.ended) == ("2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01.500000+02:00")
     assert "modification" in str(table_to_run.read(csv, ImportOptions()).run.provenance["start_time_from"])
 
 
-def test_bad_lines_are_counted_and_left_out_on_request(csv: Path, app: cyclopts.App, capsys: Any) -> None:
+def test_bad_lines_are_counted_and_left_out_on_request(csv, app, capsys):
     """Any empty cell used to stop the import."""
     rows = [f"{0.01 * k:.2f},{k}" for k in range(40)]
     for at, text in ((3, "0.03,"), (7, "0.07,lost"), (11, "0.11"), (20, ",4"), (21, "0.21,nan"), (30, "0.3,1,2")):
@@ -407,9 +398,7 @@ def test_bad_lines_are_counted_and_left_out_on_request(csv: Path, app: cyclopts.
         (1e6, 1, "--t-unit us?", {"t_unit": "us"}),
     ],
 )
-def test_a_unit_that_cannot_be_right_is_asked_for(
-    csv: Path, t_size: float, x_size: float, question: str, answer: Any
-) -> None:
+def test_a_unit_that_cannot_be_right_is_asked_for(csv, t_size, x_size, question, answer):
     """Positions in mm used to make a belt of 220 m/s, silently."""
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(t_size * time, x_size * x, strict=True))
@@ -421,7 +410,7 @@ def test_a_unit_that_cannot_be_right_is_asked_for(
     assert table_to_run.read(csv, options(x_unit="m", t_unit="s")).run.time[-1] == pytest.approx(t_size * time[-1])
 
 
-def test_the_force_of_a_pulled_spring_is_its_stretch(csv: Path, app: cyclopts.App, capsys: Any) -> None:
+def test_the_force_of_a_pulled_spring_is_its_stretch(csv, app, capsys):
     time, x = sawtooth(400)
     make(csv, "t (s),F (mN)\n", zip(time, 1e3 * 168 * x, strict=True))
     line = ["import", str(csv), "-o", str(csv.with_name("run.h5")), "--spring-force", "F", "--json"]
@@ -434,7 +423,7 @@ def test_the_force_of_a_pulled_spring_is_its_stretch(csv: Path, app: cyclopts.Ap
     assert (run.rig.stiffness, run.rig.belt_speed) == (Measured(168, 2), Measured(pytest.approx(42e-6)))
 
 
-def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv: Path) -> None:
+def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv):
     time, x = sawtooth(400)
     make(csv, "t,Fnorm\n", zip(time, x, strict=True))
     force = {"spring_force": "Fnorm", "force_unit": "weight", "mass": None, "stiffness": Measured(168.0)}

@@ -26,7 +26,7 @@ print(compiled(kernel.entry, (kernel.__name__,))(2.0))
 """
 
 
-def start(folder: Path) -> "subprocess.Popen[str]":
+def start(folder):
     (folder / "kernel_used_by_a_test.py").write_text(KERNEL)
     return subprocess.Popen(
         [sys.executable, "-c", USE.format(folder=str(folder))],
@@ -37,7 +37,7 @@ def start(folder: Path) -> "subprocess.Popen[str]":
     )
 
 
-def test_processes_wait_for_the_one_that_compiles(tmp_path: Path) -> None:
+def test_processes_wait_for_the_one_that_compiles(tmp_path):
     """Two processes that needed the same kernel each compiled it: 20 s of CPU for those of a fit."""
     both = [start(tmp_path), start(tmp_path)]
     answers = [process.communicate() for process in both]
@@ -45,7 +45,7 @@ def test_processes_wait_for_the_one_that_compiles(tmp_path: Path) -> None:
     assert sorted(err for _, err in answers) == ["", kernels.ANNOUNCEMENT + "\n"]
 
 
-def test_compilation_is_announced_once_per_installation(tmp_path: Path) -> None:
+def test_compilation_is_announced_once_per_installation(tmp_path):
     """Each process said "once per installation", three in one session.  One that prints nowhere counts for none."""
     said = []
     for number, stderr in enumerate((subprocess.DEVNULL, subprocess.PIPE, subprocess.PIPE)):
@@ -59,14 +59,14 @@ def test_compilation_is_announced_once_per_installation(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes are POSIX")
-def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path: Path) -> None:
+def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path):
     (tmp_path / "kernel_used_by_a_test.py").write_text(KERNEL)
     tmp_path.chmod(0o777)  # where another user could write, nothing is kept
     for process in (start(tmp_path), start(tmp_path)):
         assert process.communicate() == ("90.0\n", kernels.NOT_KEPT + "\n")
 
 
-def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path: Path, monkeypatch) -> None:
+def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(kernels, "LONGEST_WAIT_S", 0.1)
     path = tmp_path / "entry.lock"
     path.touch()
@@ -78,12 +78,12 @@ def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path: Path, monkeypatc
     free.release()
 
 
-def test_a_folder_without_room_for_locks(tmp_path: Path) -> None:
+def test_a_folder_without_room_for_locks(tmp_path):
     assert kernels._wait_for_lock(tmp_path / "missing" / "entry.lock") is None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are POSIX")
-def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path: Path, monkeypatch) -> None:
+def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path, monkeypatch):
     # Whoever could write into the folder had its user run his code.
     shared = tmp_path / "shared"
     shared.mkdir()
@@ -103,7 +103,7 @@ def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path: Path,
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the variables are those of Linux")
 @pytest.mark.parametrize("value", ["", ".", "cache", "~/cache"])
-def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path: Path, monkeypatch, value: str) -> None:
+def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path, monkeypatch, value):
     # XDG_CACHE_HOME empty or relative led into the current folder, whose pickles were loaded: a stranger's data folder
     # could have its reader run anything.
     monkeypatch.chdir(tmp_path)
@@ -123,7 +123,7 @@ def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path: Path, 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="owners are POSIX")
-def test_machine_code_that_another_user_could_leave_is_not_used(tmp_path: Path, monkeypatch) -> None:
+def test_machine_code_that_another_user_could_leave_is_not_used(tmp_path, monkeypatch):
     # The right of others was taken from an open folder, and what they had put there stayed and was loaded.
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     folder = kernels.cache_folder(("stickslip.errors",))

@@ -1,7 +1,6 @@
 """Export: a flat table that loses nothing and reads back."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,7 +19,7 @@ N = 101
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
+def run(tmp_path):
     count = (1000 * np.sin(np.arange(N))).astype(np.int64)
     rig = Rig(metres_per_count=Measured(7.67e-6), datum=Measured(1 / 3))
     raw = Raw(
@@ -52,14 +51,14 @@ def run(tmp_path: Path) -> Path:
 COLUMNS = "time_s position_m count segment sample count_up count_down device_time_us levels flags illegal edge_time_us"
 
 
-def _read_csv(path: Path) -> pd.DataFrame:
+def _read_csv(path):
     # Python's own float: pandas' parser may err in the last bit.
     lines = [line.split(",") for line in path.read_text().splitlines()]
     columns = zip(*lines[1:], strict=True)
     return pd.DataFrame({name: [float(c) for c in column] for name, column in zip(lines[0], columns, strict=True)})
 
 
-def test_both_tables_hold_every_sample_to_the_last_bit(run: Path) -> None:
+def test_both_tables_hold_every_sample_to_the_last_bit(run):
     csv, parquet = run.with_suffix(".csv"), run.with_suffix(".parquet")
     assert application.run(app, ["export", str(run), "--csv", str(csv), "--parquet", str(parquet)]) == 0
     recording = store.load(run)
@@ -71,7 +70,7 @@ def test_both_tables_hold_every_sample_to_the_last_bit(run: Path) -> None:
         np.testing.assert_array_equal(table["edge_time_us"], recording.raw.edge_time)
 
 
-def test_an_exported_table_imports_as_the_same_motion(run: Path) -> None:
+def test_an_exported_table_imports_as_the_same_motion(run):
     csv, again = run.with_suffix(".csv"), run.with_name("again.h5")
     assert application.run(app, ["export", str(run), "--csv", str(csv)]) == 0
     assert application.run(app, ["import", str(csv), "-o", str(again)]) == 0
@@ -80,7 +79,7 @@ def test_an_exported_table_imports_as_the_same_motion(run: Path) -> None:
     np.testing.assert_array_equal(second.time, first.time - first.time[0])
 
 
-def test_an_uncalibrated_run_says_count(run: Path) -> None:
+def test_an_uncalibrated_run_says_count(run):
     recording = store.load(run)
     bare = replace(
         recording, rig=Rig(), position=positions(recording.count, Rig()), raw=None, segment=np.zeros(0, np.uint16)
