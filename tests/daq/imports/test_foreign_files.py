@@ -23,8 +23,8 @@ def _text(path, rows, head="t,x\n"):
     return path
 
 
-def _pairs(time=TIME, x=X):
-    return [f"{a:.6f},{b:.7f}" for a, b in zip(time, x, strict=True)]
+def _pairs(time=TIME, x=X, form="{:.6f}"):
+    return [f"{form.format(a)},{b:.7f}" for a, b in zip(time, x, strict=True)]
 
 
 def test_the_hash_is_that_of_the_bytes_that_were_read(tmp_path):
@@ -33,21 +33,11 @@ def test_the_hash_is_that_of_the_bytes_that_were_read(tmp_path):
 
 
 # A time belongs to its channel.
-def _lvm(path, *, columns="No", dimension="Time", steps=(0.001, 0.002), rows=N, samples=N):
-    tags = {
-        "Channels": ["2"],
-        "Samples": [samples, samples],
-        "Y_Unit_Label": ["N", "m"],
-        "X_Dimension": [dimension] * 2,
-        "X0": ["0.0"] * 2,
-        "Delta_X": steps,
-    }
-    head = "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t.\n"
-    head += f"X_Columns\t{columns}\n***End_of_Header***\t\n\t\n"
-    head += "".join("\t".join([tag, *map(str, values)]) + "\n" for tag, values in tags.items())
-    head += "***End_of_Header***\t\nX_Value\tF\tPos\tComment\n"
-    path.write_text(head + "".join(f"\t3.0\t{x:.7f}\n" for x in np.resize(X, rows)))
-    return path
+def _lvm(path, *, steps=(0.001, 0.002), rows=N):
+    head = "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tNo\n***End_of_Header***\t\n\t\n"
+    head += f"Channels\t2\nSamples\t{N}\t{N}\nY_Unit_Label\tN\tm\nX_Dimension\tTime\tTime\nX0\t0.0\t0.0\n"
+    head += f"Delta_X\t{steps[0]}\t{steps[1]}\n***End_of_Header***\t\nX_Value\tF\tPos\tComment\n"
+    return _text(path, [f"\t3.0\t{x:.7f}" for x in np.resize(X, rows)], head=head)
 
 
 def _tdms(path):
@@ -183,14 +173,14 @@ def test_a_motion_or_a_fault_is_not_taken_for_a_counter_that_rolls_over(readings
 # Times.
 def test_micros_that_roll_over_are_undone(tmp_path):
     ticks = (np.rint(TIME * 1e6).astype(np.int64) + 2**32 - 500_000) % 2**32
-    path = _text(tmp_path / "a.csv", [f"{a},{b:.7f}" for a, b in zip(ticks, X, strict=True)], head="t_us,x (m)\n")
+    path = _text(tmp_path / "a.csv", _pairs(ticks, form="{}"), head="t_us,x (m)\n")
     with pytest.warns(UserWarning, match=r"clock of the times rolled over 1 time by 2\^32"):
         np.testing.assert_allclose(daq.load(path).time, TIME, atol=1e-9)
 
 
 def test_rounded_times_are_numbered_evenly_with_a_rate(tmp_path):
     time = np.floor(np.arange(N) * 0.4)  # millis() at 2.5 kHz
-    path = _text(tmp_path / "a.csv", [f"{a:.0f},{b:.7f}" for a, b in zip(time, X, strict=True)], head="t_ms,x (m)\n")
+    path = _text(tmp_path / "a.csv", _pairs(time, form="{:.0f}"), head="t_ms,x (m)\n")
     with pytest.raises(InputError, match=r"lines repeat a time, .*frame_rate='2506 Hz'"):
         daq.load(path)
     with pytest.warns(UserWarning, match="numbered evenly at 2500 Hz"):
@@ -200,37 +190,25 @@ def test_rounded_times_are_numbered_evenly_with_a_rate(tmp_path):
 
 
 def test_times_since_1970_are_times(tmp_path):
-    rows = [f"{1764262800 + a:.4f},{b:.7f}" for a, b in zip(TIME, X, strict=True)]
-    np.testing.assert_allclose(daq.load(_text(tmp_path / "a.csv", rows), x_unit="m").time, TIME, atol=1e-6)
+    path = _text(tmp_path / "a.csv", _pairs(1764262800 + TIME))
+    np.testing.assert_allclose(daq.load(path, x_unit="m").time, TIME, atol=1e-6)
+
+
+SUMMER = [f"2026-03-29 {'01:59:59' if k < 400 else '03:00:00'}.{k % 400 * 2500:06d}" for k in range(N)]
 
 
 @pytest.mark.parametrize(
-    ("stamps", "last", "words"),
+    ("dates", "last", "words"),
     [
-        (
-            [f"2026-03-29 {'01:59:59' if k < 400 else '03:00:00'}.{k % 400 * 2500:06d}" for k in range(N)],
-            3601.4975,
-            "summer",
-        ),
-        (
-            [f"2026-03-{'25' if k < 300 else '27'} 10:00:{TIME[k]:09.6f}" for k in range(N)],
-            172801.4975,
-            "gap of 172800",
-        ),
-        (
-            [f"{'25.12' if k < 300 else '26.12'}.2026 10:00:{TIME[k]:09.6f}" for k in range(N)],
-            86401.4975,
-            "gap of 86400",
-        ),
-        (
-            [f"{'12/30' if k < 300 else '12/31'}/2026 10:00:{TIME[k]:09.6f}" for k in range(N)],
-            86401.4975,
-            "gap of 86400",
-        ),
+        (None, 3601.4975, "summer"),
+        (("2026-03-25", "2026-03-27"), 172801.4975, "gap of 172800"),
+        (("25.12.2026", "26.12.2026"), 86401.4975, "gap of 86400"),
+        (("12/30/2026", "12/31/2026"), 86401.4975, "gap of 86400"),
     ],
 )
-def test_dates_count_and_a_long_gap_is_said(tmp_path, stamps, last, words):
-    path = _text(tmp_path / "a.csv", [f"{stamp},{x:.7f}" for stamp, x in zip(stamps, X, strict=True)])
+def test_dates_count_and_a_long_gap_is_said(tmp_path, dates, last, words):
+    stamps = [f"{dates[k >= 300]} 10:00:{TIME[k]:09.6f}" for k in range(N)] if dates else SUMMER
+    path = _text(tmp_path / "a.csv", _pairs(stamps, form="{}"))
     with pytest.warns(UserWarning, match=words):
         assert daq.load(path, clock=True, x_unit="m").time[-1] == pytest.approx(last)
 

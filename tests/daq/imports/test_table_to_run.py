@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from daq.cli import files
-from daq.imports import frame_rate, layout, table, table_to_run
+from daq.imports import layout, table, table_to_run
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 from stickslip import units
@@ -205,27 +205,18 @@ def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv):
 
 
 @pytest.mark.parametrize("belt", [0.22, -0.22])
-def test_the_half_period_of_the_slip_is_found_in_either_direction(belt):
+def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv, belt):
     time, x = sawtooth(400, belt=belt)
-    swing = frame_rate.measure_half_period(time, x)
-    assert swing.duration == pytest.approx(math.pi * math.sqrt(MASS / STIFFNESS), abs=1 / 400)
-    assert swing.number == 7
-    assert swing.shortest <= math.pi * math.sqrt(MASS / STIFFNESS) <= swing.longest
-    assert swing.longest - swing.shortest == pytest.approx(4 / 400)
-
-
-def test_a_right_frame_rate_is_accepted(csv):
-    found = table_to_run.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options())
-    assert found.warnings == ()
-
-
-def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv):
-    time, x = sawtooth(400)
+    assert table_to_run.read(make(csv, "t,x\n", zip(time, x, strict=True)), options()).warnings == ()
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
     found = table_to_run.read(csv, options())
     assert "frame rate must be wrong" in found.warnings[0]
     fitting = float(found.warnings[0].split(" would match")[0].split()[-1])
     assert fitting == pytest.approx(400, rel=0.01)
+    corrected = table_to_run.read(csv, options(frame_rate_hz=400.0))
+    np.testing.assert_allclose(corrected.run.time, time, atol=1e-6)
+    assert len(corrected.warnings) == 1
+    assert "times were multiplied by 0.075" in corrected.warnings[0]
 
 
 @pytest.mark.parametrize("slower", [1 / 128, 1.0, 64.0])
@@ -246,15 +237,6 @@ def test_a_wrong_frame_rate_is_noticed_at_few_samples_a_slip(csv, samples, facto
     time, x = sawtooth(samples / slip, until=60.0)
     make(csv, "t [s],x [m]\n", zip(time * factor, x, strict=True))
     assert "frame rate must be wrong" in table_to_run.read(csv, options()).warnings[0]
-
-
-def test_a_given_frame_rate_corrects_the_times_and_says_so(csv):
-    time, x = sawtooth(400)
-    make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))
-    found = table_to_run.read(csv, options(frame_rate_hz=400.0))
-    np.testing.assert_allclose(found.run.time, time, atol=1e-6)
-    assert len(found.warnings) == 1
-    assert "times were multiplied by 0.075" in found.warnings[0]
 
 
 def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv):
