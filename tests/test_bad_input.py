@@ -135,6 +135,8 @@ REFUSED = [
     ("daq record -o new.h5 --duration '20 m'", "is not a unit of time"),
     *((f"daq record -o new.h5 --duration {time}", "--duration", "not a valid time") for time in ("inf", "nan")),
     *((f"daq record -o new.h5 --duration {time}", "--duration", "samples") for time in ("1e12", "0.0001", "-1")),
+    ("daq record -o new.h5 --duration 0.5 --log notes.txt", "no log of stickslip"),
+    ("daq record -o new.h5 --duration 0.5 --log none/a.log", 3, "none/a.log"),
     (RECORD, *NOWHERE, "connect the board"),
     (f"{RECORD} --protocol qsb --rate 1000", "1000 Hz", "at most 512 Hz"),
     (f"{RECORD} --protocol qsb --decoder jk", "no decoder 'jk'"),

@@ -52,6 +52,16 @@ def kinds(run):
     return list(zip(run.event_sample.tolist(), run.event_kind, strict=True))
 
 
+def begun_anew(fake, found, run):
+    """Return the first sample of the second of two segments, in each of which every count is the true one."""
+    assert found.segments == 2
+    first = int(np.searchsorted(run.segment, 1))
+    assert (first, "reopened") in kinds(run)
+    assert np.ptp(offsets(fake, run, 0, first)) == 0
+    assert np.ptp(offsets(fake, run, first)) == 0
+    return first
+
+
 def test_every_sample_comes_through(make_fake, tmp_path):
     fake = make_fake()
     found, run = taken(fake, tmp_path, 5000)
@@ -80,12 +90,8 @@ def test_faults_of_the_line_cost_their_units_and_nothing_else(make_fake, tmp_pat
 
 def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
     # They used to be refused.
-    fake = FakeLabelled(tmp_path / "ttyFAKE", {1500: "flip"})
-    fake.start()
-    try:
+    with FakeLabelled(tmp_path / "ttyFAKE", {1500: "flip"}) as fake:
         found, run = taken(fake, tmp_path, 1900)
-    finally:
-        fake.finish()
     assert (found.crc_errors, found.lost, found.segments) == (1, 1, 1)
     assert np.ptp(offsets(fake, run)) == 0
 
@@ -93,34 +99,23 @@ def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
 def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tmp_path):
     fake = make_fake({1500: "reset"})
     found, run = taken(fake, tmp_path, 3000 * fake.unit)
-    assert found.segments == 2
-    first = int(np.searchsorted(run.segment, 1))
-    assert (first, "reopened") in kinds(run)
-    assert np.ptp(offsets(fake, run, 0, first)) == 0
-    assert np.ptp(offsets(fake, run, first)) == 0
+    first = begun_anew(fake, found, run)
     assert run.raw.sample[first] == 0
     assert np.all(np.diff(run.time) > 0)
     assert len(run.time) >= 2900 * fake.unit
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("uptime_s", [3000, 4260])
-def test_a_sketch_that_was_up_for_long_resets_and_all_its_samples_are_kept(tmp_path, uptime_s):
+def test_a_sketch_that_was_up_for_long_resets_and_all_its_samples_are_kept(tmp_path):
     # The recording used to end at the reset, with exit code 4: modulo 2^32 its clock had stepped ahead by minutes.
+    # Other times: tests/daq/protocols/test_lines.py.
     fake = FakeUpForLong(tmp_path / "ttyFAKE", {3000: "reset"}, paced=True)
-    fake.uptime_us = 1_000_000 * uptime_s
-    fake.start()
-    try:
+    fake.uptime_us = 4_260_000_000
+    with fake:
         found, run = taken(fake, tmp_path, 4000)
-    finally:
-        fake.finish()
-    assert found.segments == 2
+    begun_anew(fake, found, run)
     assert not found.short
     assert found.lost == 0
-    first = int(np.searchsorted(run.segment, 1))
-    assert (first, "reopened") in kinds(run)
-    assert np.ptp(offsets(fake, run, 0, first)) == 0
-    assert np.ptp(offsets(fake, run, first)) == 0
     assert run.time[-1] == pytest.approx(4.0, abs=0.3)
 
 
@@ -130,15 +125,11 @@ def test_an_unplugged_board_is_found_again_and_the_gap_is_told_in_ms(make_fake, 
         paced=True,
     )
     found, run = taken(fake, tmp_path, 3 * fake.rate_hz)
-    assert found.segments == 2
-    first = int(np.searchsorted(run.segment, 1))
-    assert (first, "reopened") in kinds(run)
+    begun_anew(fake, found, run)
     note = run.event_note[run.event_kind.index("reopened")]
     gap_ms = float(note.split("lost for ")[1].split(" ms")[0])
     assert 1e3 * AWAY_S <= gap_ms < 1e3 * AWAY_S + 3000
     assert any("reopened" in warning and "ms are missing" in warning for warning in found.warnings)
-    assert np.ptp(offsets(fake, run, 0, first)) == 0
-    assert np.ptp(offsets(fake, run, first)) == 0
     assert found.lost == 0
 
 

@@ -26,41 +26,27 @@ print(compiled(kernel.entry, (kernel.__name__,))(2.0))
 """
 
 
-def start(folder):
-    (folder / "kernel_used_by_a_test.py").write_text(KERNEL)
-    return subprocess.Popen(
-        [sys.executable, "-c", USE.format(folder=str(folder))],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(folder)},
-    )
+def start(folder, number=0, stderr=subprocess.PIPE):
+    """Start a process that needs a kernel, another one for each number."""
+    (folder / "kernel_used_by_a_test.py").write_text(f"{KERNEL}\nNUMBER = {number}\n")
+    line = [sys.executable, "-c", USE.format(folder=str(folder))]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment)
 
 
-def test_processes_wait_for_the_one_that_compiles(tmp_path):
-    """Two processes that needed the same kernel each compiled it: 20 s of CPU for those of a fit."""
-    both = [start(tmp_path), start(tmp_path)]
+def test_one_process_compiles_for_others_and_it_is_announced_once_per_installation(tmp_path):
+    """Each of two processes compiled the kernels of a fit, 20 s of CPU, and each said "once per installation"."""
+    assert start(tmp_path, 0, subprocess.DEVNULL).communicate() == ("90.0\n", None)  # prints nowhere: counts for none
+    both = [start(tmp_path, 1), start(tmp_path, 1)]
     answers = [process.communicate() for process in both]
     assert [out for out, _ in answers] == ["90.0\n", "90.0\n"]
     assert sorted(err for _, err in answers) == ["", kernels.ANNOUNCEMENT + "\n"]
-
-
-def test_compilation_is_announced_once_per_installation(tmp_path):
-    """Each process said "once per installation", three in one session.  One that prints nowhere counts for none."""
-    said = []
-    for number, stderr in enumerate((subprocess.DEVNULL, subprocess.PIPE, subprocess.PIPE)):
-        (tmp_path / "kernel_used_by_a_test.py").write_text(f"{KERNEL}\nNUMBER = {number}\n")  # compiled anew each time
-        line = [sys.executable, "-c", USE.format(folder=str(tmp_path))]
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-        done = subprocess.run(line, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment, check=True)
-        said.append(done.stderr)
+    assert start(tmp_path, 2).communicate() == ("90.0\n", "")
     assert len(list((tmp_path / "stickslip").glob("kernels-*"))) == 3
-    assert said == [None, kernels.ANNOUNCEMENT + "\n", ""]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes are POSIX")
 def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path):
-    (tmp_path / "kernel_used_by_a_test.py").write_text(KERNEL)
     tmp_path.chmod(0o777)  # where another user could write, nothing is kept
     for process in (start(tmp_path), start(tmp_path)):
         assert process.communicate() == ("90.0\n", kernels.NOT_KEPT + "\n")
@@ -74,7 +60,6 @@ def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path, monkeypatch):
     assert kernels._wait_for_lock(path) is None
     held.release()
     free = kernels._wait_for_lock(path)
-    assert free is not None
     free.release()
 
 
@@ -91,7 +76,6 @@ def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path, monke
     (shared / "stickslip").mkdir()
     (shared / "stickslip").chmod(0o777)
     folder = kernels.cache_folder(("stickslip.errors",))
-    assert folder is not None
     assert {path.stat().st_mode & 0o022 for path in (folder, folder.parent)} == {0}
     shared.chmod(0o777)  # there the folder could be replaced by another one
     assert kernels.cache_folder(("stickslip.errors",)) is None
@@ -114,7 +98,6 @@ def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path, monkey
         monkeypatch.setenv(variable, value)
         assert kernels.cache_root() == home / ".cache" / "stickslip"
         folder = kernels.cache_folder(("stickslip.errors",))
-        assert folder is not None
         assert folder.is_relative_to(home)
         assert list(tmp_path.iterdir()) == [home]
     monkeypatch.setenv("HOME", value)
@@ -127,7 +110,6 @@ def test_machine_code_that_another_user_could_leave_is_not_used(tmp_path, monkey
     # The right of others was taken from an open folder, and what they had put there stayed and was loaded.
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     folder = kernels.cache_folder(("stickslip.errors",))
-    assert folder is not None
     left = folder / "left.nbi"
     left.touch()
     folder.chmod(0o777)
