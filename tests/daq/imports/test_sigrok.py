@@ -43,11 +43,6 @@ def test_every_probe_reads_back_whatever_the_chunks(path, data, unitsize, write_
     np.testing.assert_array_equal(levels, wanted)
 
 
-def test_chunks_follow_by_number_not_by_name(path, write_capture):
-    found = sigrok.read(write_capture(path, np.arange(24), {0: "A"}, chunk=2))
-    assert found.entries == tuple(f"logic-1-{number}" for number in range(1, 13))
-
-
 @pytest.mark.parametrize(
     ("text", "hertz"),
     [("1 MHz", 1e6), ("12 MHz", 12e6), ("500 kHz", 5e5), ("20000", 2e4), ("1.5 GHz", 1.5e9), (None, None)],
