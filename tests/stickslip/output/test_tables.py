@@ -1,6 +1,7 @@
 """Export: a flat table that loses nothing and reads back."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,43 +9,19 @@ import pytest
 
 from daq.cli.app import app
 from daq.runfile import store
-from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from daq.runfile.run_data import Raw, positions
+from daq.runfile.run_data import positions
 from stickslip.console import application
 from stickslip.output import tables
-from stickslip.units import Measured
 
-N = 101
+SAMPLE = Path(__file__).parents[3] / "data_samples" / "law5.h5"
 
 
 @pytest.fixture
 def run(tmp_path):
-    count = (1000 * np.sin(np.arange(N))).astype(np.int64)
-    rig = Rig(metres_per_count=Measured(7.67e-6), datum=Measured(1 / 3))
-    raw = Raw(
-        sample=np.arange(N, dtype=np.uint32),
-        count_up=(count & 0xFFFF).astype(np.uint16),
-        count_down=np.zeros(N, np.uint16),
-        device_time=np.arange(N, dtype=np.uint32) * 1000,
-        levels=np.zeros(N, np.uint8),
-        flags=np.zeros(N, np.uint16),
-        illegal=np.zeros(N, np.uint16),
-        edge_time=np.arange(N, dtype=np.uint16),
-    )
-    data = Recording(
-        title="a run",
-        started="2024-05-01T12:00:00+02:00",
-        ended="2024-05-01T12:00:01+02:00",
-        rate_hz=1000.0,
-        rig=rig,
-        time=np.cumsum(np.full(N, 1 / 3)),
-        position=positions(count, rig),
-        count=count,
-        raw=raw,
-        segment=np.zeros(N, np.uint16),
-    )
-    store.write(tmp_path / "run.h5", data)
+    found = store.load(SAMPLE)
+    raw = replace(found.raw, edge_time=np.arange(found.time.size, dtype=np.uint16))
+    store.write(tmp_path / "run.h5", replace(found, raw=raw))
     return tmp_path / "run.h5"
 
 
