@@ -242,6 +242,7 @@ REFUSED = [
     ("daq decode pair.sr --step A --dir B --decoder x4", "need no decoder"),
     ("daq firmware", "--board"),
     ("daq firmware --board esp8266", "did you mean 'esp32'?"),
+    ("daq firmware --board uno -o notes.txt", "notes.txt: is not a folder; give a folder, with -o"),
     ("daq firmware --board un", "did you mean 'uno'"),
     ("daq watch run.h5.par", ".part"),
     # process.

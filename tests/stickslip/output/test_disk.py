@@ -15,7 +15,6 @@ import h5py
 import numpy as np
 import pytest
 
-from daq import firmware_files
 from daq.cli.app import app
 from stickslip.console import application as terminal
 from stickslip.errors import InputError
@@ -105,14 +104,6 @@ def test_firmware_on_a_full_disk_is_a_disks_failure_and_leaves_no_empty_file(ful
         assert code == 3
         assert ": the disk is full; " in line
         assert all(path.stat().st_size > 0 for path in (tmp_path / "fw").iterdir())
-
-
-def test_firmware_into_a_file_is_the_callers_mistake(tmp_path, capsys):
-    (tmp_path / "fw").write_text("mine")
-    code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
-    assert (code, line.endswith("fw: is not a folder; give a folder, with -o")) == (2, True)
-    hexfile, _ = firmware_files.write(firmware_files.board("uno"), tmp_path / "new")
-    assert hexfile.stat().st_size > 1000
 
 
 def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, monkeypatch):
