@@ -38,6 +38,8 @@ LONGEST = (
     "fitting/selection/test_own_laws.py",
     "contract/test_protocols.py",
     "test_notebook.py",
+    "test_demo.py",
+    "test_pipe.py",
 )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 
 @pytest.mark.slow
-def test_demo_ends_in_a_verdict_and_a_report(tmp_path: Path) -> None:
+def test_demo_ends_in_a_verdict_and_a_report(tmp_path):
     command = [sys.executable, "-m", "daq.cli.app", "demo", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert done.returncode == 0, done.stderr

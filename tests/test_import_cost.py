@@ -1,6 +1,7 @@
 """What each command loads: only what it needs, seen through sys.modules in a process of its own."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -39,7 +40,7 @@ sys.stderr.write("\\nLOADED " + json.dumps(found))
 """
 
 
-def loaded(command: str, *lines: list[str], cwd: object = None) -> list[set[str]]:
+def loaded(command, *lines, cwd=None):
     """Run a command, line after line, in a fresh interpreter; return the modules and submodules after each."""
     source = LOADER.format(lines=[[command, *line] for line in lines], module=MODULES[command])
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, cwd=cwd, check=False)
@@ -57,22 +58,19 @@ def test_help_loads_no_numerical_package(command):
         assert not names & heavy, line
 
 
-def test_recording_loads_no_analysis_package(tmp_path):
-    (names,) = loaded("daq", ["record", "--duration", "0.5", "--json"], cwd=tmp_path)
-    assert {"numpy", "h5py", "serial"} <= names
-    assert not names & {"scipy", "pandas", "matplotlib", "numba", "jinja2"}
-
-
-def test_a_cycle_loads_no_scipy_numba_or_matplotlib():
-    (names,) = loaded("rig-sim", ["cycle", "base", "--json"])
-    assert not names & {"scipy", "pandas", "matplotlib", "numba", "h5py", "serial"}
-
-
-def test_smoothing_loads_no_table_and_no_picture(tmp_path):
-    loaded("daq", ["record", "--duration", "3", "-o", "run.h5", "--json"], cwd=tmp_path)
-    (names,) = loaded("process", ["smooth", "run.h5", "--json"], cwd=tmp_path)
-    assert "numba" in names
-    assert not names & {"pandas", "matplotlib"}
+@pytest.mark.parametrize(
+    ("command", "line", "needed", "spared"),
+    [
+        ("daq", "record --duration 0.5 --json", "numpy h5py serial", "scipy pandas matplotlib numba jinja2"),
+        ("rig-sim", "cycle base --json", "", "scipy pandas matplotlib numba h5py serial"),
+        ("process", "smooth law5.h5 --json", "numba", "pandas matplotlib"),
+    ],
+)
+def test_a_command_loads_what_it_needs(tmp_path, command, line, needed, spared):
+    shutil.copy(f"{ROOT}/data_samples/law5.h5", tmp_path)
+    (names,) = loaded(command, line.split(), cwd=tmp_path)
+    assert set(needed.split()) <= names
+    assert not set(spared.split()) & names
 
 
 @pytest.mark.parametrize("package", PACKAGES)

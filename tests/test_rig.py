@@ -55,39 +55,3 @@ def test_another_simulator_finds_the_same_motion(case, monkeypatch):
     expected, _, _ = simulate(times, **{"T": 12.0, **others})
     assert np.ptp(expected) > 0.15
     np.testing.assert_allclose(belt_rig.simulate(contact, times), expected, atol=AGREEMENT.get(case, 2e-9))
-
-
-@pytest.mark.parametrize("changes", [{}, {"curve": "stribeck"}, {"ramp": 0.03}, {"scatter": 0.05}])
-def test_a_contact_of_another_scale_moves_alike(changes):
-    """Steps and tolerances used to be seconds and metres of the rig."""
-    length, time = 2.0**-9, 2.0**-6  # a slip of 0.3 mm, 380 rad/s
-    speed = length / time
-    times = np.arange(0, 6, 2e-3)
-    contact = belt_rig.Contact(duration=6.0, **changes)
-    other = replace(
-        contact,
-        **{name: getattr(contact, name) * speed for name in ("belt", "v_s", "ramp", "log_speed")},
-        gamma=contact.gamma / speed,
-        Fv=contact.Fv / speed,
-        k=contact.k / length,
-        m=contact.m / length * time**2,
-        belt_start=contact.belt_start * time,
-        duration=contact.duration * time,
-    )
-    found, expected = belt_rig.follow(other, times * time), belt_rig.follow(contact, times)
-    assert expected.landings.size >= 4
-    np.testing.assert_allclose(found.position / length, expected.position, atol=1e-8)
-    np.testing.assert_allclose(found.break_aways / time, expected.break_aways, atol=1e-6)
-    np.testing.assert_allclose(found.landings / time, expected.landings, atol=1e-6)
-
-
-def test_levels_scatter_from_landing_to_landing_and_only_there():
-    times = np.arange(0, 8, 1e-3)
-    steady = belt_rig.Contact(duration=8.0)
-    x, scattered = (belt_rig.simulate(p, times) for p in (steady, replace(steady, scatter=0.05)))
-    first_landing = 0.6  # s, of the mass that the belt takes with it: until then the level is Fs
-    assert x[times < first_landing].max() > 0.005
-    np.testing.assert_array_equal(x[times < first_landing], scattered[times < first_landing])
-    highest = [[float(part.max()) for part in np.array_split(run[times > 1], 3)] for run in (x, scattered)]
-    assert np.ptp(highest[0]) < 1e-5
-    assert np.ptp(highest[1]) > 2e-3

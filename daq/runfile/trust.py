@@ -32,7 +32,7 @@ FILTERS = (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLE
 # which the file's size is added.
 SECONDS, SECONDS_PER_BYTE, MEMORY = 8.0, 2e-7, 1 << 30
 # What h5py raises for what it cannot read.
-DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError)
+DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, ArithmeticError)
 
 _done: set[tuple[object, ...]] = set()  # what children of this process have done to which files
 

@@ -1,6 +1,9 @@
 """The browser of these tests."""
 
 import shutil
+from collections.abc import Iterator
+from importlib.util import find_spec
+from typing import Any
 
 import pytest
 
@@ -13,3 +16,15 @@ def chromium() -> str:
     path = shutil.which("chromium")
     need(path, "chromium is not installed")
     return str(path)
+
+
+@pytest.fixture(scope="module")
+def browser(chromium: str) -> Iterator[Any]:
+    """Give a browser that a test opens pages in."""
+    need(find_spec("playwright"), "playwright is not installed")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as start:
+        made = start.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield made
+        made.close()

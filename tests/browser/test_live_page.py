@@ -7,12 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -29,23 +27,18 @@ SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 DURATION_S = 14
 # What the browser itself says of a connection that a test cuts, and of a page that is not there.
 EXPECTED = "ERR_INTERNET_DISCONNECTED|ERR_CONNECTION_REFUSED|ERR_INCOMPLETE_CHUNKED_ENCODING|404"
-SIZES = ((1400, 900), (1200, 860), (768, 1024), (390, 844))
+# Each is looked at in its own theme and in the other one.
+SIZES = ((1400, 900, "dark"), (1200, 860, "light"), (768, 1024, "dark"), (390, 844, "light"))
 
 
-@pytest.fixture(scope="module")
-def browser(chromium: str) -> Iterator[Any]:
-    for name in ("playwright", "starlette", "uvicorn", "uplot"):
+@pytest.fixture(autouse=True, scope="module")
+def live_view():
+    for name in ("starlette", "uvicorn", "uplot"):
         need(find_spec(name), f"{name} is not installed")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as start:
-        made = start.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        yield made
-        made.close()
 
 
 @contextmanager
-def command(*arguments: str, cwd: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def command(*arguments, cwd):
     """Start `daq` and yield it with the URL of its page."""
     line = [sys.executable, "-m", "daq.cli.app", *arguments, "--no-browser"]
     with subprocess.Popen(line, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -65,7 +58,7 @@ def command(*arguments: str, cwd: Path) -> Iterator[tuple[subprocess.Popen[str],
 
 
 @contextmanager
-def opened(browser: Any, url: str, width: int = 1400, height: int = 900, **context: Any) -> Iterator[Any]:
+def opened(browser, url, width=1400, height=900, **context):
     """Open a page; afterwards nothing was wrong with it, and it has asked nobody else for anything."""
     page = browser.new_page(viewport={"width": width, "height": height}, **context)
     said: list[str] = []
@@ -80,7 +73,7 @@ def opened(browser: Any, url: str, width: int = 1400, height: int = 900, **conte
     assert [one for one in asked if not one.startswith((url, "data:"))] == []
 
 
-def until(page: Any, expression: str, timeout_s: float = 30.0) -> None:
+def until(page, expression, timeout_s=30.0):
     """Wait until an expression holds; playwright's own way needs eval, which the page's policy forbids."""
     end = time.monotonic() + timeout_s
     while not page.evaluate(expression):
@@ -88,19 +81,19 @@ def until(page: Any, expression: str, timeout_s: float = 30.0) -> None:
         page.wait_for_timeout(50)
 
 
-def text(page: Any, id: str) -> str:
+def text(page, id):
     return str(page.evaluate(f"document.getElementById('{id}').textContent"))
 
 
-def says(page: Any, id: str, words: str, timeout_s: float = 30.0) -> None:
+def says(page, id, words, timeout_s=30.0):
     until(page, f"document.getElementById('{id}').textContent.includes({json.dumps(words)})", timeout_s)
 
 
-def numbers(words: str) -> list[float]:
+def numbers(words):
     return [float(found) for found in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", words)]
 
 
-def coloured(page: Any, id: str, folder: Path, colour: str) -> int:
+def coloured(page, id, folder, colour):
     """Return how many pixels of a picture have a colour of the theme."""
     picture = folder / "part.png"
     page.locator(f"#{id}").screenshot(path=picture)
@@ -112,7 +105,7 @@ def coloured(page: Any, id: str, folder: Path, colour: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
     shutil.copy(SAMPLES / "law5.h5", folder / "run.h5")
     done = [sys.executable, "-m", "daq.cli.app", "note", "run.h5", "--mark", "3", "a hand"]
@@ -122,14 +115,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.fixture
-def run_page(browser: Any, finished: str) -> Iterator[Any]:
+def run_page(browser, finished):
     with opened(browser, finished) as page:
         says(page, "state", "finished run")
         until(page, "shown.rows && shown.rows.last > 100 && summary.cycles > 4")
         yield page
 
 
-def test_a_finished_run_is_shown_with_its_cycles_belt_spring_and_friction(run_page: Any, tmp_path: Path) -> None:
+def test_a_finished_run_is_shown_with_its_cycles_belt_spring_and_friction(run_page, tmp_path):
     run = daq.load(SAMPLES / "law5.h5")
     assert text(run_page, "title").startswith("run.h5: ")
     assert text(run_page, "samples") == str(run.time.size)
@@ -152,7 +145,7 @@ def test_a_finished_run_is_shown_with_its_cycles_belt_spring_and_friction(run_pa
         assert not run_page.locator(f"#{hidden}").is_visible()
 
 
-def test_the_cursor_tells_the_sample_under_it_in_all_three_pictures(run_page: Any) -> None:
+def test_the_cursor_tells_the_sample_under_it_in_all_three_pictures(run_page):
     run = daq.load(SAMPLES / "law5.h5")
     box = run_page.locator("#trace .u-over").bounding_box()
     run_page.mouse.move(box["x"] + 0.55 * box["width"], box["y"] + 20)
@@ -175,7 +168,7 @@ def test_the_cursor_tells_the_sample_under_it_in_all_three_pictures(run_page: An
     assert text(run_page, "trace-at") == ""
 
 
-def test_zoom_and_scroll_by_mouse_keys_buttons_and_slider(run_page: Any) -> None:
+def test_zoom_and_scroll_by_mouse_keys_buttons_and_slider(run_page):
     shown = "[view.from, view.to]"
     whole = run_page.evaluate(shown)
     box = run_page.locator("#trace .u-over").bounding_box()
@@ -213,7 +206,7 @@ def test_zoom_and_scroll_by_mouse_keys_buttons_and_slider(run_page: Any) -> None
     assert run_page.evaluate("view.to - view.from") == pytest.approx(2.0)
 
 
-def test_break_aways_lie_over_one_another(run_page: Any, tmp_path: Path) -> None:
+def test_break_aways_lie_over_one_another(run_page, tmp_path):
     run_page.keyboard.press("t")
     says(run_page, "trace-title", "break-away 6 of 6")
     assert run_page.evaluate("trace.axes[0].label") == "time since the break-away (s)"
@@ -231,9 +224,8 @@ def test_break_aways_lie_over_one_another(run_page: Any, tmp_path: Path) -> None
     assert v[(t > 0.1) & (t < 0.3)].max() < 0.2
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_everything_fits_and_can_be_read(browser: Any, finished: str, theme: str, width: int, height: int) -> None:
+@pytest.mark.parametrize(("width", "height", "theme"), SIZES)
+def test_everything_fits_and_can_be_read(browser, finished, width, height, theme):
     with opened(browser, finished, width, height, color_scheme=theme) as page:
         says(page, "state", "finished run")
         until(page, "summary.cycles > 4")
@@ -249,7 +241,7 @@ def test_everything_fits_and_can_be_read(browser: Any, finished: str, theme: str
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") == paper
 
 
-def check_layout(page: Any, width: int) -> None:
+def check_layout(page, width):
     """Nothing is wider than the page or its box, nothing lies on another, and everything has a name."""
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     clipped = """[...document.querySelectorAll('h1, p, dd, dt, th, td, button, label, figcaption, select, section')]
@@ -274,7 +266,7 @@ def check_layout(page: Any, width: int) -> None:
     assert page.evaluate(unnamed) == []
 
 
-def check_contrast(page: Any) -> None:
+def check_contrast(page):
     """Text is told from the paper by 4.5, and curves by 3, as WCAG 2 asks."""
     names = ["h1", "#state", "dt", "dd", "figcaption", "#controls label", "#save", "footer", "kbd"]
     names += ["#panel p", "#panel dt", "th", "td"]
@@ -293,8 +285,8 @@ def check_contrast(page: Any) -> None:
         assert contrast(colour, paper) >= (1.5 if name == "old" else 4.5), name  # earlier break-aways lie in the back
 
 
-def contrast(one: str, other: str) -> float:
-    def luminance(colour: str) -> float:
+def contrast(one, other):
+    def luminance(colour):
         rgb = np.array(numbers(colour)[:3]) / 255
         return float(np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
 
@@ -302,7 +294,7 @@ def contrast(one: str, other: str) -> float:
     return (light + 0.05) / (dark + 0.05)
 
 
-def test_imports_without_calibration_and_runs_in_counts_are_shown(browser: Any, tmp_path: Path) -> None:
+def test_imports_without_calibration_and_runs_in_counts_are_shown(browser, tmp_path):
     run = daq.load(SAMPLES / "law5.h5")
     assert run.count is not None
     bare = replace(run, rig=Rig(), position=run.count.astype(np.float64))
@@ -324,7 +316,7 @@ def test_imports_without_calibration_and_runs_in_counts_are_shown(browser: Any, 
 # ---- a recording ---------------------------------------------------------------------------------------------------
 
 
-def test_a_recording_is_drawn_marked_and_left_whole(browser: Any, tmp_path: Path) -> None:
+def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
     with command("record", "--live", "--duration", str(DURATION_S), "--json", cwd=tmp_path) as (process, url):
         with opened(browser, url, 1200, 860) as page:
             until(page, "Number(document.body.dataset.frames) > 20")
@@ -378,7 +370,7 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser: Any, tmp_path: Path
     assert abs(run.time[run.event_sample[at]] - drawn["markers"][0]["t"]) < 1.0
 
 
-def test_the_stop_button_asks_once_and_ends_the_recording_cleanly(browser: Any, tmp_path: Path) -> None:
+def test_the_stop_button_asks_once_and_ends_the_recording_cleanly(browser, tmp_path):
     with command("record", "--live", "--duration", "600", "--json", cwd=tmp_path) as (process, url):
         with opened(browser, url) as page:
             until(page, "Number(document.body.dataset.frames) > 20")
@@ -416,7 +408,7 @@ daq.record(blocks(), "run.h5", rate_hz=200)
 """
 
 
-def test_a_recording_by_a_program_is_watched_scrolled_and_stopped(browser: Any, tmp_path: Path) -> None:
+def test_a_recording_by_a_program_is_watched_scrolled_and_stopped(browser, tmp_path):
     with subprocess.Popen([sys.executable, "-c", PROGRAM], cwd=tmp_path, stderr=subprocess.PIPE, text=True) as program:
         with command("watch", "run.h5.part", "--wait", "30 s", cwd=tmp_path) as (_, url):
             with opened(browser, url) as page:
@@ -432,7 +424,7 @@ def test_a_recording_by_a_program_is_watched_scrolled_and_stopped(browser: Any, 
     assert recorded.time.size % 10 == 0  # blocks are kept whole
 
 
-def test_losses_a_vanished_journal_and_a_viewer_that_is_gone_are_said_in_the_page(browser: Any, tmp_path: Path) -> None:
+def test_losses_a_vanished_journal_and_a_viewer_that_is_gone_are_said_in_the_page(browser, tmp_path):
     gaps = ["--set", "gaps.rate=1", "--set", "gaps.duration=0.2"]
     recorder = [sys.executable, "-m", "daq.cli.app", "record", "--realtime", "--duration", "60", *gaps]
     with subprocess.Popen(recorder, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as recording:

@@ -52,6 +52,16 @@ def kinds(run):
     return list(zip(run.event_sample.tolist(), run.event_kind, strict=True))
 
 
+def begun_anew(fake, found, run):
+    """Return the first sample of the second of two segments, in each of which every count is the true one."""
+    assert found.segments == 2
+    first = int(np.searchsorted(run.segment, 1))
+    assert (first, "reopened") in kinds(run)
+    assert np.ptp(offsets(fake, run, 0, first)) == 0
+    assert np.ptp(offsets(fake, run, first)) == 0
+    return first
+
+
 def test_every_sample_comes_through(make_fake, tmp_path):
     fake = make_fake()
     found, run = taken(fake, tmp_path, 5000)
@@ -63,48 +73,25 @@ def test_every_sample_comes_through(make_fake, tmp_path):
     assert any("whole milliseconds" in warning for warning in found.warnings) == (fake.columns == "ticks,ms")
 
 
-def test_a_dropped_unit_is_counted_and_marked_and_never_filled(make_fake, tmp_path):
-    fake = make_fake({1500: "drop", 1600: "drop"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert found.lost == 2 * fake.unit
-    assert found.samples + found.lost == 1900 * fake.unit + fake.lead
-    assert [kind for _, kind in kinds(run) if kind == "gap"] == ["gap", "gap"]
+def test_faults_of_the_line_cost_their_units_and_nothing_else(make_fake, tmp_path):
+    """What is lost is counted, marked and never filled; what comes twice is left out."""
+    fake = make_fake({1500: "drop", 1550: "twice", 1600: "late", 1700: "flip", 1800: "drop"})
+    unit = fake.unit
+    found, run = taken(fake, tmp_path, 1900 * unit)
+    assert (found.lost, found.crc_errors, found.segments) == (4 * unit, 1, 1)
+    assert found.samples + found.lost == 1900 * unit + fake.lead
+    assert any(f"{2 * unit} samples came twice or late" in warning for warning in found.warnings)
     assert np.ptp(offsets(fake, run)) == 0
-    assert found.segments == 1
-
-
-def test_a_repeated_unit_is_left_out(make_fake, tmp_path):
-    fake = make_fake({1500: "twice"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert (found.samples, found.lost, found.segments) == (1900 * fake.unit + fake.lead, 0, 1)
-    assert any(f"{fake.unit} samples came twice or late" in warning for warning in found.warnings)
-    assert np.ptp(offsets(fake, run)) == 0
-
-
-def test_a_late_unit_is_lost_and_nothing_else(make_fake, tmp_path):
-    fake = make_fake({1500: "late"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert (found.lost, found.segments) == (fake.unit, 1)
-    assert any(f"{fake.unit} samples came twice or late" in warning for warning in found.warnings)
-    assert np.ptp(offsets(fake, run)) == 0
-
-
-def test_a_flipped_bit_costs_its_unit(make_fake, tmp_path):
-    fake = make_fake({1500: "flip"})
-    found, run = taken(fake, tmp_path, 1900 * fake.unit)
-    assert (found.crc_errors, found.lost, found.segments) == (1, fake.unit, 1)
-    assert "crc" in [kind for _, kind in kinds(run)]
-    assert np.ptp(offsets(fake, run)) == 0
+    before = np.flatnonzero(np.diff(np.round(run.time * fake.rate_hz)) > 1)
+    assert np.diff(before).tolist() == [99 * unit] * 3
+    assert {(sample, kind) for sample, kind in kinds(run) if kind == "gap"} == {(k + 1, "gap") for k in before}
+    assert "crc" in run.event_kind
 
 
 def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
     # They used to be refused.
-    fake = FakeLabelled(tmp_path / "ttyFAKE", {1500: "flip"})
-    fake.start()
-    try:
+    with FakeLabelled(tmp_path / "ttyFAKE", {1500: "flip"}) as fake:
         found, run = taken(fake, tmp_path, 1900)
-    finally:
-        fake.finish()
     assert (found.crc_errors, found.lost, found.segments) == (1, 1, 1)
     assert np.ptp(offsets(fake, run)) == 0
 
@@ -112,34 +99,23 @@ def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
 def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tmp_path):
     fake = make_fake({1500: "reset"})
     found, run = taken(fake, tmp_path, 3000 * fake.unit)
-    assert found.segments == 2
-    first = int(np.searchsorted(run.segment, 1))
-    assert (first, "reopened") in kinds(run)
-    assert np.ptp(offsets(fake, run, 0, first)) == 0
-    assert np.ptp(offsets(fake, run, first)) == 0
+    first = begun_anew(fake, found, run)
     assert run.raw.sample[first] == 0
     assert np.all(np.diff(run.time) > 0)
     assert len(run.time) >= 2900 * fake.unit
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("uptime_s", [3000, 4260])
-def test_a_sketch_that_was_up_for_long_resets_and_all_its_samples_are_kept(tmp_path, uptime_s):
+def test_a_sketch_that_was_up_for_long_resets_and_all_its_samples_are_kept(tmp_path):
     # The recording used to end at the reset, with exit code 4: modulo 2^32 its clock had stepped ahead by minutes.
+    # Other times: tests/daq/protocols/test_lines.py.
     fake = FakeUpForLong(tmp_path / "ttyFAKE", {3000: "reset"}, paced=True)
-    fake.uptime_us = 1_000_000 * uptime_s
-    fake.start()
-    try:
+    fake.uptime_us = 4_260_000_000
+    with fake:
         found, run = taken(fake, tmp_path, 4000)
-    finally:
-        fake.finish()
-    assert found.segments == 2
+    begun_anew(fake, found, run)
     assert not found.short
     assert found.lost == 0
-    first = int(np.searchsorted(run.segment, 1))
-    assert (first, "reopened") in kinds(run)
-    assert np.ptp(offsets(fake, run, 0, first)) == 0
-    assert np.ptp(offsets(fake, run, first)) == 0
     assert run.time[-1] == pytest.approx(4.0, abs=0.3)
 
 
@@ -149,15 +125,11 @@ def test_an_unplugged_board_is_found_again_and_the_gap_is_told_in_ms(make_fake, 
         paced=True,
     )
     found, run = taken(fake, tmp_path, 3 * fake.rate_hz)
-    assert found.segments == 2
-    first = int(np.searchsorted(run.segment, 1))
-    assert (first, "reopened") in kinds(run)
+    begun_anew(fake, found, run)
     note = run.event_note[run.event_kind.index("reopened")]
     gap_ms = float(note.split("lost for ")[1].split(" ms")[0])
     assert 1e3 * AWAY_S <= gap_ms < 1e3 * AWAY_S + 3000
     assert any("reopened" in warning and "ms are missing" in warning for warning in found.warnings)
-    assert np.ptp(offsets(fake, run, 0, first)) == 0
-    assert np.ptp(offsets(fake, run, first)) == 0
     assert found.lost == 0
 
 

@@ -83,13 +83,11 @@ class Server(threading.Thread):
 
 @pytest.fixture
 def served(tmp_path):
-    board = FakeFrames(tmp_path / "ttyFAKE", paced=True)
-    board.start()
-    server = Server(board.path)
-    server.start()
-    yield server
-    server.finish()
-    board.finish()
+    with FakeFrames(tmp_path / "ttyFAKE", paced=True) as board:
+        server = Server(board.path)
+        server.start()
+        yield server
+        server.finish()
 
 
 def test_a_port_behind_rfc2217_is_recorded(served, tmp_path):

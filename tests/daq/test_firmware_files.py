@@ -11,10 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from daq import firmware_files
 from daq.cli.app import app
 from stickslip.console import application
-from stickslip.errors import InputError
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
@@ -95,11 +93,3 @@ def test_what_holds_something_else_is_kept_unless_forced(run, tmp_path):
     assert mine.read_text() == "my own\n"
     assert run("--board", "uno", "--force")[0] == 0
     assert mine.read_bytes() == (FIRMWARE / "command.c").read_bytes()
-
-
-def test_another_board_is_refused_with_the_nearest_name(run):
-    with pytest.raises(InputError, match="uno") as caught:
-        firmware_files.board("un")
-    assert caught.value.exit_code == 2
-    assert run("--board", "esp8266")[0] == 2
-    assert run()[0] == 2

@@ -19,7 +19,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize(
     "what",
-    [daq.Recording.from_arrays, daq.load, daq.record, daq.recover, processing.smooth, rank, Ranking, Law],
+    [
+        *(daq.Recording.from_arrays, daq.load, daq.record, daq.recover, processing.smooth, Law),
+        *(pytest.param(what, marks=pytest.mark.slow) for what in (rank, Ranking)),
+    ],
     ids=lambda what: what.__name__,
 )
 def test_its_example_does_what_it_says(what, tmp_path, monkeypatch):

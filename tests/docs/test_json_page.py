@@ -5,7 +5,6 @@ import io
 import json
 import re
 import shutil
-from collections.abc import Iterator
 
 import pytest
 
@@ -20,7 +19,7 @@ PAGE = (examples.ROOT / "docs" / "reference" / "json.md").read_text()
 BY_NAME = {"parameters", "rms_by_law"}  # what stands below are names of the record's own
 
 
-def keys(document: object, below: str = "") -> Iterator[str]:
+def keys(document, below=""):
     """Yield every key of a document."""
     if isinstance(document, dict):
         for name, value in document.items():

@@ -1,4 +1,4 @@
-"""Names on the reference page are described in full: what ruff does not ask of internal names."""
+"""The reference page has every public name, each described in full: what ruff does not ask of internal names."""
 
 import importlib
 import inspect
@@ -60,3 +60,11 @@ def test_a_public_function_says_its_parameters_and_its_result(path):
         }
         assert set(signature.parameters) - described == set()
     assert re.search(r"^(Returns|Yields)\n-+$", text, re.MULTILINE) or signature.return_annotation in (None, "None")
+
+
+@pytest.mark.parametrize("package", ["daq", "processing", "fitting", "rig_sim"])
+def test_every_public_name_has_an_entry_and_every_entry_of_a_package_is_public(package):
+    public = set(importlib.import_module(package).__all__) - {"__version__"}
+    named = set(re.findall(rf"auto(?:function|class|exception|data):: {package}\.(\w+)(?:\(\))?$", PAGE, re.MULTILINE))
+    assert named - public == set()
+    assert {name for name in public if not re.search(rf"auto\w+:: {package}\.(?:\w+\.)*{name}\b", PAGE)} == set()

@@ -8,7 +8,7 @@ import pytest
 from stickslip.errors import InputError, in_python
 
 
-def test_a_terminal_reads_flags_and_python_reads_keywords() -> None:
+def test_a_terminal_reads_flags_and_python_reads_keywords():
     error = InputError("is -1", "--max-steps", "give a positive number, or lower --until")
     assert error.as_line() == "--max-steps: is -1; give a positive number, or lower --until"
     assert error.as_json() == {
@@ -31,18 +31,18 @@ def test_a_terminal_reads_flags_and_python_reads_keywords() -> None:
         ("a-b, a--b, ---, -o and x--until", "a-b, a--b, ---, -o and x--until"),
     ],
 )
-def test_a_flag_becomes_the_keyword_of_its_name(typed: str, keyword: str) -> None:
+def test_a_flag_becomes_the_keyword_of_its_name(typed, keyword):
     assert in_python(typed) == keyword
 
 
-def test_another_call_from_python_stands_in_place_of_what_to_type() -> None:
+def test_another_call_from_python_stands_in_place_of_what_to_type():
     call = "rig_sim.scene('rig', **{'friction.gamma': 9})"
     error = InputError("is 0", "friction.gamma", "write --set friction.gamma=9", python=f"write {call}")
     assert error.as_line() == "friction.gamma: is 0; write --set friction.gamma=9"
     assert str(error) == f"friction.gamma: is 0; write {call}"
 
 
-def test_both_readings_survive_the_way_from_another_process() -> None:
+def test_both_readings_survive_the_way_from_another_process():
     error = InputError("what", "--until", "type", python="call")
     error.add_result({"steps": 3}, ["3 steps"])
     for again in (pickle.loads(pickle.dumps(error)), copy.copy(error)):

@@ -33,17 +33,11 @@ def places(monkeypatch, tmp_path):
     return rig
 
 
-def test_a_flag_beats_all(places):
+def test_each_place_beats_the_next(places, monkeypatch):
     found = resolve(rig=places, port="from flag", rate=1)
     assert (found["port"], found["rate_hz"]) == ("from flag", 1)
-
-
-def test_the_environment_beats_the_files(places):
     found = resolve(rig=places)
     assert (found["port"], found["rate_hz"]) == ("from environment", 2)
-
-
-def test_the_rig_file_beats_the_users_own(places, monkeypatch):
     monkeypatch.delenv("STICKSLIP_PORT")
     monkeypatch.delenv("STICKSLIP_RATE")
     found = resolve(rig=places)

@@ -1,7 +1,6 @@
 """`daq.load` reads what `daq import` reads, in memory; its keywords are the flags."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,11 @@ import pytest
 from scipy.io import savemat
 
 import daq
+from daq.cli import sentences
 from daq.cli.app import app
+from daq.imports import table_to_run
+from daq.imports.options import ImportOptions
 from stickslip.console import application
-from stickslip.errors import InputError
 from stickslip.units import Measured
 
 SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
@@ -38,17 +39,23 @@ def test_a_table_is_the_run_that_the_command_makes_of_it(table, tmp_path, capsys
     assert found.config_toml == by_command.config_toml
 
 
-def test_a_matlab_file_is_read_too(tmp_path):
-    savemat(tmp_path / "track.mat", {"t": TIME, "x": X})
-    found = daq.load(tmp_path / "track.mat", x_unit="mm", frame_rate="250 fps", mass=(0.3, 0.001))
-    np.testing.assert_allclose(found.position, 1e-3 * X, rtol=1e-12)
-    assert (found.rate_hz, found.rig.mass) == (pytest.approx(250), Measured(0.3, 0.001))
+def test_vectors_of_a_matlab_file_are_columns_bit_for_bit(tmp_path):
+    other = {"vir": np.ones((5000, 2)), "gtau": 35.15, "s": "EMPS"}
+    savemat(tmp_path / "track.mat", {"t": TIME[:, None], "qm": X[None, :], **other})
+    found = daq.load(tmp_path / "track.mat", time="t", position="qm", x_unit="m", mass=(0.3, 0.001))
+    assert np.array_equal(found.time, TIME)
+    assert np.array_equal(found.position, X)
+    assert found.rig.mass == Measured(0.3, 0.001)
+    # It was "read as: delimiter tab, decimal '.'".
+    said = sentences.format_columns(
+        table_to_run.read(tmp_path / "track.mat", ImportOptions(time="t", position="qm", x_unit="m"))
+    )
+    assert said.startswith("read as: vectors of a MATLAB file, time from column 't' in s")
 
 
-def test_columns_are_chosen_by_name_or_number(tmp_path):
+def test_columns_are_chosen_by_number(tmp_path):
     np.savetxt(tmp_path / "track.txt", np.c_[X, X + 1, TIME], delimiter="\t", header="a\tb\tc", comments="")
-    for chosen in ({"time": "c", "position": "b"}, {"time": 3, "position": 2}):
-        np.testing.assert_allclose(daq.load(tmp_path / "track.txt", **chosen).position, X + 1)
+    np.testing.assert_allclose(daq.load(tmp_path / "track.txt", time=3, position=2).position, X + 1)
 
 
 def test_what_the_command_warns_about_is_a_warning(table):
@@ -56,22 +63,6 @@ def test_what_the_command_warns_about_is_a_warning(table):
     with pytest.warns(UserWarning, match=r"track.csv: .* is read in cm") as caught:
         daq.load(table, x_unit="cm")
     assert caught[0].filename == __file__
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "words"),
-    [
-        ("track.csv", {"xunit": "cm"}, "no option 'xunit' of a table; did you mean 'x_unit'?"),
-        ("track.csv", {"x_unit": "cmm"}, "'cmm' is not a unit of length; did you mean 'mm'?"),
-        ("track.csv", {"mass": "heavy"}, "'heavy' is not a valid mass; write it like '300 g'"),
-        ("track.csv", {"position": "y"}, "no column 'y'; the columns are: t, x"),
-        ("none.csv", {}, "no such file; check the path"),
-        ("", {}, "is a folder"),
-    ],
-)
-def test_a_wrong_keyword_or_value_is_named(table, name, options, words):
-    with pytest.raises(InputError, match=re.escape(words)):
-        daq.load(table.parent / name, **options)
 
 
 def test_the_date_of_an_imported_file_is_said_to_be_that(table, tmp_path, capsys):
@@ -85,8 +76,3 @@ def test_the_date_of_an_imported_file_is_said_to_be_that(table, tmp_path, capsys
     said = capsys.readouterr().out
     assert f"file of {found.started[:10]}" in said
     assert "  2024-05-01 12:00" in said
-
-
-def test_a_run_file_takes_no_options_of_tables():
-    with pytest.raises(InputError, match=r"mass= is for tables, and this is a run file; .* fitting.rank"):
-        daq.load(SAMPLES / "law5.h5", mass=0.3)

@@ -1,18 +1,17 @@
 """What tests of protocols share."""
 
 import random
-from collections.abc import Callable
 
 import pytest
 
 
 @pytest.fixture(scope="session")
-def damaged() -> Callable[..., tuple[list[bytes], set[int]]]:
+def damaged():
     """Return a function that damages lines at random."""
     return _damaged
 
 
-def _damaged(lines: list[bytes], seed: int, share: float = 0.1) -> tuple[list[bytes], set[int]]:
+def _damaged(lines, seed, share=0.1):
     """Return lines of which a share, not among the first four, is damaged, and which are.
 
     Damage is a flipped bit, a lost or an inserted byte, or a burst of eight.

@@ -1,77 +1,18 @@
 """Text lines with measured numbers: positions and forces with decimals and signs, as counts of their last decimal."""
 
-import re
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from daq.protocols import session as session_module
 from daq.protocols import text
 from daq.protocols.columns import parse_columns, with_decimals
-from daq.protocols.line_parser import LineParser
-from daq.protocols.lines import NoSample
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports, record
 from daq.runfile import store
-from stickslip.errors import DeviceError, InputError
+from stickslip.errors import InputError
 from stickslip.units import Measured
-from tests.daq.protocols.test_lines import OneByOne, Sketch, xor_of
-
-
-@pytest.mark.parametrize(
-    ("declared", "line", "count"),
-    [
-        ("t_us,x_mm:2", b"1000,21.04", 2104),
-        ("t_us,x_mm:2", b"(1000, 21.04)", 2104),
-        ("t_us,x_mm:2", b"[1000 -21.04]\r", -2104),
-        ("t_us,x_mm:2", b"1000;+0.5", 50),
-        ("t_us,x_mm:2", b"1000 -.05", -5),
-        ("t_us,x_mm:2", b"1000 -0.05", -5),
-        ("t_us,x_mm:2", b"1000 3", 300),
-        ("t_us,x_mm:2", b"1000 3.14159", 314),
-        ("t_us,x_m:6", b"1000 -1.5e-05", -15),
-        ("t_us,x_um:0", b"1000 -17", -17),
-        ("seq,t_us,F_N:3", b"7,1000,-0.125", -125),
-        ("t_us,x_mm:2", b"t=1000 pos=21.04", 2104),
-        ("t_us,x_mm:2", b"t: 1000, x: -21.04, y: 3", -2104),
-        ("t_us,x_mm:2", b"t=1000 x=1 pos_mm=21.04", 2104),
-        ("t_us,F_N:3", b"us=1000 load=1.5", 1500),
-    ],
-)
-def test_a_measured_number_counts_its_last_decimal(declared, line, count):
-    row = LineParser(parse_columns(declared)).read(line)
-    assert row[:2] == (1000, count % 2**32)
-
-
-@pytest.mark.parametrize(
-    ("declared", "line"),
-    [
-        ("t_us,x_mm:2", b"1000,nan"),
-        ("t_us,x_mm:2", b"1000,21.0.4"),
-        ("t_us,x_mm:2", b"1000,21,04"),
-        ("t_us,x_mm:6", b"1000,2148.0"),  # beyond 32 bits
-        ("t_us,x_mm:2", b"t=1000 x_m=0.02"),  # another unit than the declared one
-        ("t_us,x_mm:2", b"1000,1e99"),
-    ],
-)
-def test_what_is_no_such_number_is_damage(declared, line):
-    assert LineParser(parse_columns(declared)).read(line) == NoSample.DAMAGED
-
-
-@pytest.mark.parametrize(
-    ("declared", "said"),
-    [
-        ("t_us,x_in", "unknown column 'x_in'"),
-        ("t_us,x_mm:12", "'x_mm:12' is no number of decimals; write x_mm:2 for two, at most 9"),
-        ("t_us,x_mm,F_N", "which columns are the counts?"),
-        ("t_us,count,x_mm", "such as x_mm or F_N"),
-    ],
-)
-def test_columns_that_cannot_be_read_are_refused(declared, said):
-    with pytest.raises(InputError, match=re.escape(said)):
-        parse_columns(declared)
+from tests.daq.protocols.test_lines import OneByOne, Sketch, read_together, xor_of
 
 
 @pytest.mark.parametrize(
@@ -129,16 +70,12 @@ def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, sha
 
 @pytest.mark.parametrize("declared", [form for form in ALIKE if form not in ("t_us,x_mm:4", "t_us,-,x_mm:3")])
 def test_sound_lines_are_read_together_and_give_their_numbers(declared, monkeypatch):
-    reader = text.make_reader(text.parse_columns(declared))
-    taken = []
-    read = type(reader._parser).read
-    monkeypatch.setattr(type(reader._parser), "read", lambda self, line: taken.append(line) or read(self, line))
     numbers = 1000 * np.sin(np.arange(100) / 9) // 1
-    batch = reader.feed(b"".join(ALIKE[declared](k, int(n)).encode() for k, n in enumerate(numbers)))
-    assert len(taken) <= 18
-    found = batch.rows[:, 1]
-    np.testing.assert_array_equal(np.where(found >= 2**31, found - 2**32, found), numbers[1:])
-    np.testing.assert_array_equal(batch.rows[:, 0], 2000 * np.arange(1, 100))
+    lines = [ALIKE[declared](k, int(n)).encode() for k, n in enumerate(numbers)]
+    rows, alone = read_together(declared, lines, monkeypatch)
+    assert alone <= 18
+    np.testing.assert_array_equal(np.where(rows[:, 1] >= 2**31, rows[:, 1] - 2**32, rows[:, 1]), numbers[1:])
+    np.testing.assert_array_equal(rows[:, 0], 2000 * np.arange(1, 100))
 
 
 def x_mm(k):
@@ -193,21 +130,6 @@ def test_decimals_without_a_unit_are_counts_and_said_to_be(tmp_path, monkeypatch
         "the positions have no unit, and are recorded as counts of 0.01 of it" in text for text in found.warnings
     )
     assert any("--columns t_us,x_mm:2" in text for text in found.warnings)
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("t={t} x={x:.2f} y=3\n", "the unit of the position is not stated; give it by --columns t_us,x_mm"),
-        ("({t}, {x:.2f})\n", "no columns are declared; one is .* as in --columns t_us,x_mm"),
-    ],
-)
-def test_a_position_without_a_declared_unit_is_asked_about(monkeypatch, line, said):
-    monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
-    sketch = Sketch(lambda k: line.format(t=2000 * k, x=x_mm(k)).encode())
-    with pytest.raises(DeviceError) as caught:
-        text.session(sketch, "fake", RecordRequest()).identify()
-    assert re.search(said, caught.value.as_line())
 
 
 def test_metres_per_count_beside_a_unit_are_refused(tmp_path, monkeypatch):

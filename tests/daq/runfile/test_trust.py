@@ -126,13 +126,14 @@ def test_a_damaged_stage_is_reported_and_the_run_is_still_read(run: Path) -> Non
     assert store.load(run).time.size == 50
 
 
-def test_damage_without_words_is_listed(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # An error of the library without a message was a traceback of 'daq list'.
+@pytest.mark.parametrize("error", [ValueError, ZeroDivisionError])
+def test_damage_without_words_is_listed(run: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]) -> None:
+    # An error of the library without a message, and a sample rate of 0, were a traceback of 'daq list'.
     def damaged(*_: Any) -> None:
-        raise ValueError
+        raise error
 
     monkeypatch.setattr(listing, "_make_row", damaged)
-    assert [row.problem for row in listing.list_runs([run.parent])] == ["is damaged: ValueError"]
+    assert [row.problem for row in listing.list_runs([run.parent])] == [f"is damaged: {error.__name__}"]
 
 
 def test_links_within_the_file_hang_nothing(run: Path) -> None:

@@ -26,47 +26,33 @@ print(compiled(kernel.entry, (kernel.__name__,))(2.0))
 """
 
 
-def start(folder: Path) -> "subprocess.Popen[str]":
-    (folder / "kernel_used_by_a_test.py").write_text(KERNEL)
-    return subprocess.Popen(
-        [sys.executable, "-c", USE.format(folder=str(folder))],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(folder)},
-    )
+def start(folder, number=0, stderr=subprocess.PIPE):
+    """Start a process that needs a kernel, another one for each number."""
+    (folder / "kernel_used_by_a_test.py").write_text(f"{KERNEL}\nNUMBER = {number}\n")
+    line = [sys.executable, "-c", USE.format(folder=str(folder))]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment)
 
 
-def test_processes_wait_for_the_one_that_compiles(tmp_path: Path) -> None:
-    """Two processes that needed the same kernel each compiled it: 20 s of CPU for those of a fit."""
-    both = [start(tmp_path), start(tmp_path)]
+def test_one_process_compiles_for_others_and_it_is_announced_once_per_installation(tmp_path):
+    """Each of two processes compiled the kernels of a fit, 20 s of CPU, and each said "once per installation"."""
+    assert start(tmp_path, 0, subprocess.DEVNULL).communicate() == ("90.0\n", None)  # prints nowhere: counts for none
+    both = [start(tmp_path, 1), start(tmp_path, 1)]
     answers = [process.communicate() for process in both]
     assert [out for out, _ in answers] == ["90.0\n", "90.0\n"]
     assert sorted(err for _, err in answers) == ["", kernels.ANNOUNCEMENT + "\n"]
-
-
-def test_compilation_is_announced_once_per_installation(tmp_path: Path) -> None:
-    """Each process said "once per installation", three in one session.  One that prints nowhere counts for none."""
-    said = []
-    for number, stderr in enumerate((subprocess.DEVNULL, subprocess.PIPE, subprocess.PIPE)):
-        (tmp_path / "kernel_used_by_a_test.py").write_text(f"{KERNEL}\nNUMBER = {number}\n")  # compiled anew each time
-        line = [sys.executable, "-c", USE.format(folder=str(tmp_path))]
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-        done = subprocess.run(line, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment, check=True)
-        said.append(done.stderr)
+    assert start(tmp_path, 2).communicate() == ("90.0\n", "")
     assert len(list((tmp_path / "stickslip").glob("kernels-*"))) == 3
-    assert said == [None, kernels.ANNOUNCEMENT + "\n", ""]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes are POSIX")
-def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path: Path) -> None:
-    (tmp_path / "kernel_used_by_a_test.py").write_text(KERNEL)
+def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path):
     tmp_path.chmod(0o777)  # where another user could write, nothing is kept
     for process in (start(tmp_path), start(tmp_path)):
         assert process.communicate() == ("90.0\n", kernels.NOT_KEPT + "\n")
 
 
-def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path: Path, monkeypatch) -> None:
+def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(kernels, "LONGEST_WAIT_S", 0.1)
     path = tmp_path / "entry.lock"
     path.touch()
@@ -74,16 +60,15 @@ def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path: Path, monkeypatc
     assert kernels._wait_for_lock(path) is None
     held.release()
     free = kernels._wait_for_lock(path)
-    assert free is not None
     free.release()
 
 
-def test_a_folder_without_room_for_locks(tmp_path: Path) -> None:
+def test_a_folder_without_room_for_locks(tmp_path):
     assert kernels._wait_for_lock(tmp_path / "missing" / "entry.lock") is None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are POSIX")
-def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path: Path, monkeypatch) -> None:
+def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path, monkeypatch):
     # Whoever could write into the folder had its user run his code.
     shared = tmp_path / "shared"
     shared.mkdir()
@@ -91,7 +76,6 @@ def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path: Path,
     (shared / "stickslip").mkdir()
     (shared / "stickslip").chmod(0o777)
     folder = kernels.cache_folder(("stickslip.errors",))
-    assert folder is not None
     assert {path.stat().st_mode & 0o022 for path in (folder, folder.parent)} == {0}
     shared.chmod(0o777)  # there the folder could be replaced by another one
     assert kernels.cache_folder(("stickslip.errors",)) is None
@@ -103,7 +87,7 @@ def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path: Path,
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the variables are those of Linux")
 @pytest.mark.parametrize("value", ["", ".", "cache", "~/cache"])
-def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path: Path, monkeypatch, value: str) -> None:
+def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path, monkeypatch, value):
     # XDG_CACHE_HOME empty or relative led into the current folder, whose pickles were loaded: a stranger's data folder
     # could have its reader run anything.
     monkeypatch.chdir(tmp_path)
@@ -114,7 +98,6 @@ def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path: Path, 
         monkeypatch.setenv(variable, value)
         assert kernels.cache_root() == home / ".cache" / "stickslip"
         folder = kernels.cache_folder(("stickslip.errors",))
-        assert folder is not None
         assert folder.is_relative_to(home)
         assert list(tmp_path.iterdir()) == [home]
     monkeypatch.setenv("HOME", value)
@@ -123,11 +106,10 @@ def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path: Path, 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="owners are POSIX")
-def test_machine_code_that_another_user_could_leave_is_not_used(tmp_path: Path, monkeypatch) -> None:
+def test_machine_code_that_another_user_could_leave_is_not_used(tmp_path, monkeypatch):
     # The right of others was taken from an open folder, and what they had put there stayed and was loaded.
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     folder = kernels.cache_folder(("stickslip.errors",))
-    assert folder is not None
     left = folder / "left.nbi"
     left.touch()
     folder.chmod(0o777)

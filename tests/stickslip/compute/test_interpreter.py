@@ -32,22 +32,22 @@ def settings_seen(folder, environment, *words):
     return json.loads(done.stdout)
 
 
+SEVEN, UNCOMPILED = b"savefig.dpi: 7\n", b"disable_jit: 1\n"
+
+
 @pytest.mark.parametrize(
     ("files", "environment"),
     [
-        ({"matplotlibrc": b"savefig.dpi: 7\n"}, {}),
-        ({"matplotlibrc": b"\xff\xfe damaged \x80"}, {}),
-        ({"matplotlibrc": None}, {}),  # a FIFO: to read it waits for ever
-        ({"rc": b"savefig.dpi: 7\n"}, {"MATPLOTLIBRC": "rc"}),
-        ({"matplotlib/matplotlibrc": b"savefig.dpi: 7\n"}, {"XDG_CONFIG_HOME": "."}),
-        ({}, {"MPLBACKEND": "template"}),
-        ({}, {"MPLBACKEND": "bogus"}),
-        ({".numba_config.yaml": b"disable_jit: 1\n"}, {}),
-        ({".numba_config.yaml": b"a: [\n"}, {}),
-        ({".numba_config.yaml": None}, {}),
-        ({}, {"NUMBA_DISABLE_JIT": "1"}),
-        ({}, {"NUMBA_DEBUG": "1"}),
-        ({}, {"NUMBA_OPT": "x"}),
+        (
+            {"matplotlibrc": SEVEN, ".numba_config.yaml": UNCOMPILED},
+            {"MPLBACKEND": "template", "NUMBA_DISABLE_JIT": "1", "NUMBA_DEBUG": "1"},
+        ),
+        (
+            {"matplotlibrc": b"\xff\xfe damaged \x80", ".numba_config.yaml": b"a: [\n"},
+            {"MPLBACKEND": "bogus", "NUMBA_OPT": "x"},
+        ),
+        ({"matplotlibrc": None, ".numba_config.yaml": None}, {}),  # FIFOs: to read one waits for ever
+        ({"rc": SEVEN, "matplotlib/matplotlibrc": SEVEN}, {"MATPLOTLIBRC": "rc", "XDG_CONFIG_HOME": "."}),
     ],
 )
 def test_a_command_runs_on_the_defaults(tmp_path, files, environment):

@@ -29,18 +29,3 @@ def test_the_help_shows_the_way_of_a_record(capsys):
     assert way == sorted(way)
     listed = [shown.index(f"│ {word} ") for word in (*(word for word, _, _ in COMMANDS), "sim")]
     assert listed == sorted(listed)
-
-
-@pytest.mark.parametrize(
-    ("line", "code", "said"),
-    [
-        (("fit", "none.h5"), 2, "stickslip: none.h5: no such file; check the path"),
-        (("sim", "cycle", "nowhere"), 2, "stickslip: scene: no built-in scene 'nowhere'"),
-        (("smooth", "--windw", "5"), 2, "see 'stickslip smooth --help'"),
-        (("smoth", "run.h5"), 2, "see 'stickslip --help'"),
-    ],
-)
-def test_an_error_names_the_command_that_was_typed(line, code, said, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert application.run(app, line) == code
-    assert said in capsys.readouterr().err

@@ -61,8 +61,9 @@ def ended(folder, moment, number, ignored=False):
     )
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize(
+    ("moment", "number"), [*((moment, signal.SIGTERM) for moment in MOMENTS), ("while it writes", signal.SIGHUP)]
+)
 def test_nothing_is_left(tmp_path, moment, number):
     done = ended(tmp_path, moment, number)
     assert done.returncode == -number, done.stderr
