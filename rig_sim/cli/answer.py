@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from stickslip.console.application import Answer
 
 if TYPE_CHECKING:
-    from rig_sim.functions.result import Result
+    from rig_sim.results.result import Result
     from rig_sim.scenes.model import Scene
 
 

@@ -71,9 +71,9 @@ def find_stretch(scene: Scene) -> float:
         return section.d
     if section.attractor is None:
         raise InputError("does not begin in a global stick", f"scene {scene.name}", "set start.d or start.attractor")
-    from rig_sim.dynamics.analyses.basins import basins
-    from rig_sim.dynamics.return_maps.section import CELLS
-    from rig_sim.dynamics.return_maps.stick import StickMap
+    from rig_sim.analyses.basins import basins
+    from rig_sim.analyses.section import CELLS
+    from rig_sim.systems.stick import StickMap
 
     flow = scene.two_mass_flow()
     attractors = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()

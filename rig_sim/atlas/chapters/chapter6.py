@@ -5,17 +5,17 @@ from functools import cache, partial
 
 import numpy as np
 
+from rig_sim.analyses.control.dither import Quench, quench
+from rig_sim.analyses.exponent import Exponent, exponent
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.settling import find_attractors
+from rig_sim.analyses.sweep import AttractorAt, sweep
 from rig_sim.atlas.chapters.axes import T, V, X, play_motion
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.analyses.exponent import Exponent, exponent
-from rig_sim.dynamics.analyses.settling import find_attractors
-from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
-from rig_sim.dynamics.control.dither import Quench, quench
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import DrivenMap, driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.driven import DrivenMap, driven_map_with_starts
 
 SPEED, U0 = 0.085, 0.2  # of the scene `forced`
 OMEGAS = np.linspace(0.2, 2.0, 241)  # of figure 6.6; 0.13 s of CPU each

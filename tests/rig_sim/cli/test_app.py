@@ -15,9 +15,9 @@ import pytest
 import rig_sim
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
-from rig_sim.functions.maps import format_with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
+from rig_sim.results.maps import format_with_error
 from stickslip.console import application
 
 CASES = json.loads((Path(__file__).parents[2] / "reference" / "limit_cycles.json").read_text())["cases"]

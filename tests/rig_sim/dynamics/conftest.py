@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.system.formula import FormulaMap
+from rig_sim.systems.formula import FormulaMap
 
 
 @pytest.fixture(scope="session")

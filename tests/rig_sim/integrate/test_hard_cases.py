@@ -9,8 +9,8 @@ import math
 import mpmath
 import pytest
 
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.comparison.error_vs_time import difference
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.comparison.error_vs_time import difference
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import NEGATIVE

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.dynamics.analyses.settling import find_attractors
-from rig_sim.dynamics.limit_cycles.branches import continuation
-from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
-from rig_sim.dynamics.limit_cycles.floquet import floquet
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
+from rig_sim.analyses.limit_cycles.branches import continuation
+from rig_sim.analyses.limit_cycles.fixed_point import fixed_point
+from rig_sim.analyses.limit_cycles.floquet import floquet
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.settling import find_attractors
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import parse_changes, scene
+from rig_sim.systems.driven import driven_map_with_starts
 from stickslip.errors import InputError
 
 HYPERBOLA = "Fs/(1 + gamma*s)"

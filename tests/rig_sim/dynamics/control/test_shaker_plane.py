@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rig_sim.analyses.control.phasor import phasor, phasor_roots, shaker_for
+from rig_sim.analyses.control.stability import ShakerPlane
 from rig_sim.cli.app import app
-from rig_sim.dynamics.control.phasor import phasor, phasor_roots, shaker_for
-from rig_sim.dynamics.control.stability import ShakerPlane
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
 from stickslip.console import application

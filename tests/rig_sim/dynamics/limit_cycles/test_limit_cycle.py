@@ -7,11 +7,11 @@ from dataclasses import astuple
 
 import pytest
 
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.turn import creeps
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame
 from rig_sim.friction.law import LAWS
+from rig_sim.systems.turn import creeps
 
 
 def flow_of(law, **changes):
@@ -142,7 +142,7 @@ def test_a_scene_is_anything_with_a_flow():
 
 def test_an_orbit_costs_no_heavy_imports():
     code = (
-        "import sys; from rig_sim.dynamics.limit_cycles.limit_cycle import cycle;"
+        "import sys; from rig_sim.analyses.limit_cycles.limit_cycle import cycle;"
         "from rig_sim.flow.flow import Flow; cycle(Flow());"
         "print(*sorted({'numpy', 'scipy', 'numba', 'matplotlib'} & set(sys.modules)))"
     )

@@ -10,14 +10,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from rig_sim.analyses.control.ogy import lock
+from rig_sim.analyses.control.search_and_lock import search_and_lock
+from rig_sim.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.cli.app import app
-from rig_sim.dynamics.analyses.unstable_orbits import find_orbits_in_motion
-from rig_sim.dynamics.control.ogy import lock
-from rig_sim.dynamics.control.search_and_lock import search_and_lock
-from rig_sim.dynamics.return_maps.landing import LandingMap
-from rig_sim.dynamics.system.interface import difference, orbit
-from rig_sim.functions import control
+from rig_sim.results import control
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.interface import difference, orbit
+from rig_sim.systems.landing import LandingMap
 from stickslip.compute.arrays import Array
 from stickslip.console import application
 
