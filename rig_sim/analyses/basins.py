@@ -5,7 +5,7 @@ to where the map is not defined.  A chaotic attractor appears as several cycles,
 cycle the map itself is iterated, and cycles that lead to a common cell are one attractor.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,13 +36,32 @@ class Attractor:
 
 @dataclass(frozen=True)
 class Basins:
-    """Attractors, the largest basin first, and the attractor to which each cell leads."""
+    """Attractors of a map of an interval, the largest basin first, and their basins.
 
-    attractors: tuple[Attractor, ...]  # may be empty
-    nowhere: float  # share of the cells that lead to where the map is not defined
-    centres: Array  # (n,) of the cells
-    fate: Integers  # (n,) index of the cell's attractor, or `NOWHERE`
-    cycles: int  # cycles of cells before they were merged
+    Attributes
+    ----------
+    range : tuple of float
+        The interval, m.
+    shares : tuple of float
+        Of the interval that lead to each attractor.
+    attractors : tuple of Attractor
+        Points, period (None where it is not periodic) and share.
+    nowhere : float
+        Share that leads to no global stick, or to where the map is not defined.
+    cells, cycles : int
+        Cells of the interval, and cycles of cells before they were merged.
+    centres, fate : (cells,) arrays
+        Of each cell, and the index of its attractor, or -1.
+    """
+
+    range: tuple[float, float]
+    shares: tuple[float, ...]
+    attractors: tuple[Attractor, ...]
+    nowhere: float
+    cells: int
+    cycles: int
+    centres: Array = field(repr=False, compare=False)
+    fate: Integers = field(repr=False, compare=False)
 
 
 def basins(f: OnInterval, cells: int, progress: Stages = silent) -> Basins:
@@ -68,7 +87,8 @@ def basins(f: OnInterval, cells: int, progress: Stages = silent) -> Basins:
     fate_of_cycle = np.array([ranks.get(leader[index], NOWHERE) for index in range(len(entries))] + [NOWHERE])
     fate = fate_of_cycle[cycle_of]
     attractors = tuple(Attractor(*orbits[index], counts[index] / cells) for index in leaders)
-    return Basins(attractors, float(np.mean(fate == NOWHERE)), centres, fate, len(entries))
+    shares, nowhere = tuple(attractor.share for attractor in attractors), float(np.mean(fate == NOWHERE))
+    return Basins((f.lo, f.hi), shares, attractors, nowhere, cells, len(entries), centres, fate)
 
 
 def find_cells(x: Array, f: OnInterval, cells: int) -> Integers:

@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, initial_mode
@@ -63,15 +63,18 @@ class Event:
     kind: str
 
 
+AnyEvent = TypeVar("AnyEvent")
+
+
 @dataclass(frozen=True)
-class Events:
+class Events(Generic[AnyEvent]):
     """The events of one run, in order, and its end.
 
     ``outcome`` is 'completed' or the reason why it ended early, with ``advice``; ``steps`` counts the integrator's
     steps.
     """
 
-    events: tuple[Event, ...]
+    events: tuple[AnyEvent, ...]
     outcome: str
     advice: str
     steps: int
@@ -315,7 +318,7 @@ def refine_times(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray
     return np.append(fine, times[-1]), indices
 
 
-def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS) -> Events:
+def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS) -> Events[Event]:
     """Return when and where the mass sticks and slips, from t = 0 to ``until`` (s); only those from ``since`` on.
 
     A motion that repeats bit for bit is integrated once and its cycle listed again and again: at most `MOST_EVENTS`

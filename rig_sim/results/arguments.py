@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig_sim.flow.flow import LARGEST, SMALLEST
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene as read
 from stickslip.errors import InputError
@@ -47,6 +48,13 @@ def parse_whole(value: int, flag: str) -> int:
     if not number.is_integer():
         raise InputError(f"is {value!r}, not a whole number", flag, "give a whole number")
     return int(number)
+
+
+def check_size(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:
+    if not math.isfinite(value) or abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
+        raise InputError(f"is {value:g}", f"--{name}", f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}")
+    if (positive and value <= 0.0) or (not negative and value < 0.0):
+        raise InputError(f"is {value:g}", f"--{name}", "give a number above 0" if positive else "give 0 or more")
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,23 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from rig_sim.analyses import special_points
+from rig_sim.analyses.limit_cycles.branches import continuation
+from rig_sim.analyses.limit_cycles.point_draws import MovingPoint, PointInterval, estimate_interval
+from rig_sim.analyses.map_branches import map_continuation
+from rig_sim.analyses.special_points import SpecialPoint
 from rig_sim.results.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole
 from rig_sim.results.result import PALE, STABLE, UNIT, UNSTABLE, Result
-from rig_sim.results.systems import SweptScene, make_stick_map
+from rig_sim.results.systems import SweptScene, make_stick_map, require_interval
+from rig_sim.scenes.draws import draw_changes
+from rig_sim.systems.formula import FormulaMap
+from rig_sim.systems.step_budget import StepBudget
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-
-    from rig_sim.analyses.limit_cycles.point_draws import PointInterval
-    from rig_sim.analyses.special_points import Branch, SpecialPoint
-    from rig_sim.analyses.special_points import Continuation as Found
-    from rig_sim.systems.formula import FormulaMap
 
 MOST_DRAWS = 100_000
 STEPS_PER_VALUE = 1_000_000  # integrator steps of two masses; those of the thesis take 300 000
@@ -30,11 +33,11 @@ class Draws:
     number: int
     refused: int
     seed: int
-    intervals: "tuple[PointInterval, ...]"
+    intervals: tuple[PointInterval, ...]
 
 
 @dataclass(frozen=True, repr=False)
-class Continuation(Result):
+class Continuation(Result, special_points.Continuation):
     """Branches over a parameter, and their special points: what `rig_sim.continue_` returns.
 
     Attributes
@@ -48,10 +51,7 @@ class Continuation(Result):
     """
 
     parameter: str
-    branches: "tuple[Branch, ...]"
-    points: "tuple[SpecialPoint, ...]"
     draws: Draws | None = field(default=None, repr=False)
-    name: str = field(default="", repr=False, compare=False)
 
     UNITS: ClassVar[Mapping[str, str]] = {"x": "m", "x_min": "m", "x_max": "m", "period": "s"}
 
@@ -139,7 +139,7 @@ def list_heights(state: Any) -> tuple[float, ...]:
 
 
 def continue_(
-    scene: "SceneLike | Callable[[float], FormulaMap]",
+    scene: SceneLike | Callable[[float], FormulaMap],
     over: "str | tuple[str, Sequence[float]]",
     *,
     draws: int | None = None,
@@ -196,19 +196,13 @@ def continue_(
         if draws is not None:
             raise InputError("--draws with two masses", "--draws", "leave it out")
         return follow_two_masses(SweptScene(first, span.key), span, progress)
-    from rig_sim.analyses.limit_cycles.branches import continuation
-
-    changes = None
-    if draws is not None:
-        from rig_sim.scenes.draws import draw_changes
-
-        changes = draw_changes(first, draws, first.name)
+    changes = None if draws is None else draw_changes(first, draws, first.name)
     result = continuation(swept.flow, span.values(), progress=report_to("following", span.number, progress))
-    parts = (span.key, result.branches, result.points)
-    if changes is None:
-        return Continuation(*parts, name=first.name)
-    intervals, refused = find_point_intervals(swept, result.points, span, changes, progress)
-    return Continuation(*parts, Draws(len(changes), refused, first.seed, intervals), first.name)
+    drawn = None
+    if changes is not None:
+        intervals, refused = find_point_intervals(swept, result.points, span, changes, progress)
+        drawn = Draws(len(changes), refused, first.seed, intervals)
+    return Continuation(**vars(result), parameter=span.key, draws=drawn, name=first.name)
 
 
 def report_to(name: str, total: int, progress: Stages) -> Callable[[float], None]:
@@ -216,7 +210,6 @@ def report_to(name: str, total: int, progress: Stages) -> Callable[[float], None
 
 
 def follow_two_masses(swept: SweptScene, span: ParameterRange, progress: Stages) -> Continuation:
-    from rig_sim.systems.step_budget import StepBudget
     from rig_sim.systems.stick import STEPS_IN_ALL
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
@@ -224,10 +217,8 @@ def follow_two_masses(swept: SweptScene, span: ParameterRange, progress: Stages)
 
 
 def follow_custom_system(
-    system_at: "Callable[[float], FormulaMap]", span: ParameterRange, draws: int | None, progress: Stages
+    system_at: Callable[[float], FormulaMap], span: ParameterRange, draws: int | None, progress: Stages
 ) -> Continuation:
-    from rig_sim.results.systems import require_interval
-
     if draws is not None:
         raise InputError("--draws of a system of one's own", "--draws", "leave it out")
     name = type(system_at(span.start)).__name__
@@ -235,23 +226,19 @@ def follow_custom_system(
 
 
 def follow_maps(map_at: Callable[[float], Any], span: ParameterRange, name: str, progress: Stages) -> Continuation:
-    from rig_sim.analyses.map_branches import map_continuation
-
     report = report_to("following", span.number, progress)
-    result: Found = map_continuation(map_at, span.values().tolist(), progress=report)
-    return Continuation(span.key, result.branches, result.points, name=name)
+    result = map_continuation(map_at, span.values().tolist(), progress=report)
+    return Continuation(**vars(result), parameter=span.key, name=name)
 
 
 def find_point_intervals(
     swept: SweptScene,
-    points: "Sequence[SpecialPoint]",
+    points: Sequence[SpecialPoint],
     span: ParameterRange,
     draws: list[dict[str, object]],
     progress: Stages = silent,
-) -> "tuple[tuple[PointInterval, ...], int]":
+) -> tuple[tuple[PointInterval, ...], int]:
     """Return the interval of each special point over the draws, and the number of draws that are not a rig."""
-    from rig_sim.analyses.limit_cycles.point_draws import MovingPoint, estimate_interval
-
     moving_points = [MovingPoint(point, swept.flow, span.values()) for point in points]
     values_of_points: list[list[float]] = [[] for _ in moving_points]
     refused = 0
@@ -270,7 +257,7 @@ def find_point_intervals(
     return tuple(estimate_interval(point_values) for point_values in values_of_points), refused
 
 
-def format_interval(interval: "PointInterval") -> str:
+def format_interval(interval: PointInterval) -> str:
     """Return an interval as text, with the draws whose point lies beyond the followed values."""
     lo, hi = ("beyond" if end is None else f"{end:.6g}" for end in (interval.lo, interval.hi))
     beyond = [f"{count} {name} the first value" for name, count in (("below", interval.below),) if count]

@@ -5,27 +5,36 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
+from rig_sim.analyses import basins as cell_mapping
+from rig_sim.analyses import exponent as growth
+from rig_sim.analyses.exponent import BLOCKS, exponent, rotation_number
+from rig_sim.analyses.periodic_points import PeriodicPoint, find_periodic_orbits
+from rig_sim.motion.two_masses import find_stretch
 from rig_sim.results.arguments import SceneLike, load_scene, parse_whole
-from rig_sim.results.result import PALE, STABLE, Result
+from rig_sim.results.result import COLOURS, PALE, STABLE, UNIT, Result
 from rig_sim.results.systems import make_driven_map, make_stick_map, require_interval
+from rig_sim.scenes.model import Scene
+from rig_sim.systems import stick
 from rig_sim.systems.formula import FormulaMap
+from rig_sim.systems.interface import OnInterval
+from rig_sim.systems.step_budget import StepBudget
+from rig_sim.systems.stick import StickEvent, StickMap
+from stickslip.compute.arrays import Array, Integers
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from rig_sim.analyses.basins import Attractor
-    from rig_sim.analyses.periodic_points import PeriodicPoint
-    from rig_sim.scenes.model import Scene
-    from rig_sim.systems.stick import StickEvent, StickMap
-    from stickslip.compute.arrays import Array, Integers
-
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
 STEPS_PER_EVENT = 1000  # of basins and of lyapunov, whose slopes take four more events; the thesis's take 30 each
 MANY_EVENTS = 500  # interpreted a few seconds; above, compiled code is faster including its compilation
 ROTATIONS = 2000  # landings in the mean time between two
+PLACES = 4000  # points of the drawn curve of a map
+VISIBLE, HALVINGS = 0.005, 30  # least visible jump of a map, of its interval; halvings that tell it from a steep rise
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,11 +63,10 @@ class Map(Result):
     duration: tuple[float, ...]
     outcome: tuple[str, ...]
     advice: tuple[str, ...]
-    periodic: "tuple[PeriodicPoint, ...] | None" = None
+    periodic: tuple[PeriodicPoint, ...] | None = None
     several: bool = field(default=True, repr=False, compare=False)
     has_places: bool = field(default=True, repr=False, compare=False)
     iterate: int = field(default=1, repr=False, compare=False)
-    name: str = field(default="", repr=False, compare=False)
     system: Any = field(default=None, repr=False, compare=False)
 
     UNITS: ClassVar[Mapping[str, str]] = {"d": "m", "f": "m", "duration": "s"}
@@ -98,40 +106,33 @@ class Map(Result):
         return lines
 
     def draw(self, ax: "Axes") -> None:
-        from rig_sim.results.pictures.maps import draw_map
-
-        draw_map(ax, self.system, self.iterate)
+        """Draw the iterate of the map, with the points where it meets the diagonal."""
+        f, times = self.system, self.iterate
+        x = np.linspace(f.lo, f.hi, PLACES)
+        y = f.images(x, times)
+        cuts = find_jumps(f, times, x, y) + 1
+        ax.plot([f.lo, f.hi], [f.lo, f.hi], color="0.6", lw=0.8)
+        ax.plot(np.insert(x, cuts, np.nan), np.insert(y, cuts, np.nan), lw=1.2)
+        for period in range(1, times + 1):
+            if times % period:
+                continue
+            for orbit in find_periodic_orbits(f, period):
+                kind = "stable" if orbit.stable else "unstable"
+                face = "black" if orbit.stable else "white"
+                label = f"{kind}, period {period}"
+                ax.plot(orbit.points, orbit.points, "o", ms=6, mfc=face, mec="black", label=label)
+        handles = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+        if handles:
+            ax.legend(handles.values(), handles.keys(), loc="best")
+        name = "f" if times == 1 else f"f^{times}"
+        ax.set(xlabel=f"d = x2 - x1 in global stick {UNIT}", ylabel=f"{name}(d) {UNIT}")
+        ax.set_title(f"Map {name} from stick to stick")
+        ax.set_aspect("equal")
 
 
 @dataclass(frozen=True, repr=False)
-class Basins(Result):
-    """Attractors of a map, the largest basin first, and their basins: what `rig_sim.basins` returns.
-
-    Attributes
-    ----------
-    range : tuple of float
-        The interval, m.
-    shares : tuple of float
-        Of the interval that lead to each attractor.
-    attractors : tuple of Attractor
-        Points, period (None where it is not periodic) and share.
-    nowhere : float
-        Share that leads to no global stick, or to where the map is not defined.
-    cells, cycles : int
-        Cells of the interval, and cycles of cells before they were merged.
-    centres, fate : (cells,) arrays
-        Of each cell, and the index of its attractor, or -1.
-    """
-
-    range: tuple[float, float]
-    shares: tuple[float, ...]
-    attractors: "tuple[Attractor, ...]"
-    nowhere: float
-    cells: int
-    cycles: int
-    centres: "Array" = field(repr=False, compare=False)
-    fate: "Integers" = field(repr=False, compare=False)
-    name: str = field(default="", repr=False, compare=False)
+class Basins(Result, cell_mapping.Basins):
+    """Attractors of a map, and their basins: what `rig_sim.basins` returns."""
 
     UNITS: ClassVar[Mapping[str, str]] = {"centre": "m"}
     SIZE = (8.6, 2.6)
@@ -155,13 +156,21 @@ class Basins(Result):
         return lines
 
     def draw(self, ax: "Axes") -> None:
-        from rig_sim.results.pictures.maps import draw_basins
-
-        draw_basins(ax, self.attractors, self.centres, self.fate)
+        """Draw which attractor each start d leads to; above, the points of the attractors."""
+        centres = self.centres
+        half = 0.5 * (centres[1] - centres[0])
+        for index, attractor in enumerate(self.attractors):
+            colour = COLOURS[index % len(COLOURS)]
+            label = f"attractor {index + 1}: {100.0 * attractor.share:.1f} %"
+            ax.fill_between(centres, 0.0, 1.0, where=self.fate == index, color=colour, step="mid", lw=0, label=label)
+            ax.plot(attractor.points, np.full(len(attractor.points), 1.15), "o", ms=4, mew=0, color=colour)
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        ax.set(xlim=(centres[0] - half, centres[-1] + half), ylim=(0.0, 1.3), yticks=[])
+        ax.set(xlabel=f"d = x2 - x1 at the start {UNIT}", title="Basins; above, the attractors")
 
 
 @dataclass(frozen=True, repr=False)
-class Exponent(Result):
+class Exponent(Result, growth.Exponent):
     """A Lyapunov exponent: what `rig_sim.lyapunov` returns.
 
     Attributes
@@ -180,14 +189,8 @@ class Exponent(Result):
         Rotation number of a driven mass.
     """
 
-    exponent: float
-    stderr: float
-    events: int
-    period: int | None
-    outcome: str
     per: str
     drive_periods_per_landing: float | None = None
-    name: str = field(default="", repr=False, compare=False)
     advice: str = field(default="", repr=False, compare=False)
 
     def as_json(self) -> dict[str, Any]:
@@ -206,6 +209,24 @@ class Exponent(Result):
         ax.axhline(0.0, color=PALE, lw=0.8)
         ax.errorbar([0.0], [self.exponent], yerr=[self.stderr], fmt="o", capsize=4, color=STABLE)
         ax.set(xticks=[], ylabel=f"Lyapunov exponent per {self.per}", title=self.name)
+
+
+def find_jumps(f: OnInterval, times: int, x: Array, y: Array) -> Integers:
+    """Return after which of the places ``x``, ascending, with the values ``y``, the ``times``-th iterate jumps.
+
+    Between two places whose values differ visibly the greater half of the difference is followed: where the iterate is
+    continuous, however steep, it becomes small.
+    """
+    after = np.flatnonzero(np.abs(np.diff(y)) > VISIBLE * (f.hi - f.lo))
+    lower, upper, low, high = x[after], x[after + 1], y[after], y[after + 1]
+    initial_difference = np.abs(high - low)
+    for _ in range(HALVINGS if after.size else 0):
+        middle = 0.5 * (lower + upper)
+        value = f.images(middle, times)
+        first = np.abs(value - low) >= np.abs(high - value)
+        lower, low = np.where(first, lower, middle), np.where(first, low, value)
+        upper, high = np.where(first, middle, upper), np.where(first, value, high)
+    return after[np.abs(high - low) > 0.5 * initial_difference]
 
 
 def map(
@@ -265,13 +286,11 @@ def map(
     ]
     orbits = None
     if periodic:
-        from rig_sim.analyses.periodic_points import find_periodic_orbits
-
         orbits = find_periodic_orbits(f, count)
     columns: list[Any] = list(zip(*chains, strict=True)) or [()] * 5
     images, word, duration, outcome, advice = columns
-    parts = (word, duration, outcome, advice, orbits, several, d is not None, count, name, f)
-    return Map(tuple(starts), images, *parts)
+    parts = (word, duration, outcome, advice, orbits, several, d is not None, count, f)
+    return Map(tuple(starts), images, *parts, name=name)
 
 
 def parse_places(d: Any) -> list[float]:
@@ -282,7 +301,7 @@ def parse_places(d: Any) -> list[float]:
         raise InputError(problem, "--d", "write 0.1,0.2", python="give a number, or several") from None
 
 
-def follow_events(f: "StickMap", d: float, times: int, places: int) -> tuple[float, str, float, str, str]:
+def follow_events(f: StickMap, d: float, times: int, places: int) -> tuple[float, str, float, str, str]:
     """Return d, word, duration, outcome and advice after ``times`` events that follow a global stick."""
     chain: list[StickEvent] = []
     for _ in range(times):
@@ -296,8 +315,6 @@ def follow_events(f: "StickMap", d: float, times: int, places: int) -> tuple[flo
 
 
 def map_place(f: FormulaMap, x: float, times: int) -> tuple[float, str, float, str, str]:
-    import numpy as np
-
     image = float(f.images(np.array([x]), times)[0])
     is_defined = math.isfinite(image)
     end = ("completed", "") if is_defined else ("outside", f"the map is defined from {f.lo:g} to {f.hi:g}")
@@ -335,25 +352,17 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     >>> [attractor.period for attractor in found.attractors], found.shares[0] > found.shares[1]
     ([2, 2], True)
     """
-    from rig_sim.analyses.basins import basins as find
-
     number = parse_whole(cells, "--cells")
     if not 2 <= number <= MOST_CELLS:
         raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
     name = type(scene).__name__ if isinstance(scene, FormulaMap) else load_scene(scene).name
     f: Any = require_interval(scene) if isinstance(scene, FormulaMap) else make_stick_map_for(load_scene(scene), number)
-    result = find(f, number, progress)
-    shares = tuple(attractor.share for attractor in result.attractors)
-    parts = ((f.lo, f.hi), shares, result.attractors, result.nowhere, number, result.cycles)
-    return Basins(*parts, result.centres, result.fate, name)
+    return Basins(**vars(cell_mapping.basins(f, number, progress)), name=name)
 
 
-def make_stick_map_for(scene: "Scene", events: int) -> "StickMap":
+def make_stick_map_for(scene: Scene, events: int) -> StickMap:
     """Return the map of two masses with the default integrator steps or, if more, those for ``events``."""
-    from rig_sim.systems.step_budget import StepBudget
-    from rig_sim.systems.stick import STEPS_IN_ALL
-
-    return make_stick_map(scene, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+    return make_stick_map(scene, StepBudget(max(stick.STEPS_IN_ALL, STEPS_PER_EVENT * events)))
 
 
 def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: Stages = silent) -> Exponent:
@@ -388,10 +397,6 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     >>> found.per, found.exponent > 5 * found.stderr > 0
     ('landing', True)
     """
-    import numpy as np
-
-    from rig_sim.analyses.exponent import BLOCKS, exponent
-
     number = parse_whole(events, "--events")
     if not BLOCKS <= number <= MOST_EVENTS:
         raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
@@ -402,8 +407,6 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     loaded = load_scene(scene)
     if loaded.coupling is None:
         return _driven_lyapunov(loaded, number, progress)
-    from rig_sim.motion.two_masses import find_stretch
-
     f, start = make_stick_map_for(loaded, number), find_stretch(loaded)
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
@@ -412,10 +415,8 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     return Exponent(**vars(result), per="event", name=loaded.name, advice=advice)
 
 
-def _driven_lyapunov(loaded: "Scene", events: int, progress: Stages) -> Exponent:
+def _driven_lyapunov(loaded: Scene, events: int, progress: Stages) -> Exponent:
     """Return the exponent of a driven mass per landing, or per drive period where it does not stick."""
-    from rig_sim.analyses.exponent import exponent, rotation_number
-
     per = "landing"
     f, start = make_driven_map(loaded, "landing")
     motion = f.motion(start)

@@ -1,4 +1,4 @@
-"""The motion of a scene: its events, its samples at a constant rate, and the methods of integration compared."""
+"""The motion of a scene: its events, and its samples at a constant rate."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -9,23 +9,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from rig_sim.motion import play
 from rig_sim.results.arguments import SceneLike, load_scene, parse_number, parse_whole
 from rig_sim.results.result import UNIT, Result, format_outcome
-from stickslip.compute.stages import Stages, silent
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from rig_sim.comparison.error_vs_time import MethodResult
-    from rig_sim.motion.two_masses import TwoMassEvent
     from stickslip.compute.arrays import Array
 
 MARKS = {"N": "v", "P": "^", "S": "s"}  # of the contact that an event enters
-BELOW_ROUNDING = 1e-17  # drawn in place of an error of 0
 Method = Literal["exact", "rk4-henon", "dop853"]
 
 
 @dataclass(frozen=True, repr=False)
-class Events(Result):
+class Events(Result, play.Events[Any]):
     """The events of one motion, in order, and how it ended: what `rig_sim.events` returns.
 
     Attributes
@@ -38,11 +34,6 @@ class Events(Result):
         Of the integrator.
     """
 
-    events: "tuple[play.Event, ...] | tuple[TwoMassEvent, ...]"
-    outcome: str
-    advice: str
-    steps: int
-    name: str = field(default="", repr=False, compare=False)
     positions: tuple[str, ...] = field(default=("x",), repr=False, compare=False)
 
     UNITS: ClassVar[Mapping[str, str]] = {"t": "s", "x": "m", "x1": "m", "x2": "m"}
@@ -114,7 +105,6 @@ class Motion(Result):
     outcome: str
     advice: str
     steps: int
-    name: str = field(default="", repr=False, compare=False)
     names: tuple[str, ...] = field(default=("t", "x", "v", "F"), repr=False, compare=False)
     stored: "tuple[Array, ...]" = field(default=(), repr=False, compare=False)
 
@@ -184,60 +174,6 @@ class Motion(Result):
         ax.margins(x=0.01)
 
 
-@dataclass(frozen=True, repr=False)
-class Comparison(Result):
-    """Errors and CPU times of the methods of integration: what `rig_sim.compare` returns.
-
-    Attributes
-    ----------
-    results : tuple of MethodResult
-        method, setting, error (the largest of an event time; None where the events differ), cpu_s, us_per_cycle, note.
-    reference : str
-        What the errors are against.
-    compile_s : float
-        CPU time of compiling, or of loading what is compiled, s.
-    cycles : int
-        In the reference.
-    """
-
-    results: "tuple[MethodResult, ...]" = field(repr=False)
-    reference: str
-    compile_s: float
-    cycles: int
-    name: str = field(default="", repr=False, compare=False)
-
-    UNITS: ClassVar[Mapping[str, str]] = {"error": "s", "cpu_s": "s", "us_per_cycle": "us"}
-    SIZE = (7.4, 5.0)
-
-    def as_json(self) -> dict[str, Any]:
-        return {"rows": self.rows(), **super().as_json()}
-
-    def rows(self) -> Sequence[Mapping[str, Any]]:
-        return [asdict(row) for row in self.results]
-
-    def lines(self) -> list[str]:
-        errors = [row.note if row.error is None else f"{row.error:.1e}" for row in self.results]
-        width = max(map(len, errors))
-        lines = [f"{'method':11} {'setting':13} {'error':>{width}} {'CPU s':>9} {'us/cycle':>10}"]
-        for row, error in zip(self.results, errors, strict=True):
-            cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
-            lines.append(f"{row.method:11} {row.setting:13} {error:>{width}} {row.cpu_s:9.2g} {cycle:>10}")
-        return [
-            *lines,
-            f"error: largest error of an event time, against {self.reference}; {self.cycles} cycles",
-            f"compiling or loading compiled code: {self.compile_s:.1f} s of CPU, not counted",
-        ]
-
-    def draw(self, ax: "Axes") -> None:
-        for method in dict.fromkeys(row.method for row in self.results):
-            rows = [row for row in self.results if row.method == method and row.error is not None]
-            rows.sort(key=lambda row: row.cpu_s)
-            errors = [max(row.error or 0.0, BELOW_ROUNDING) for row in rows]
-            ax.loglog([row.cpu_s for row in rows], errors, "o-", ms=4, lw=1.0, label=method)
-        ax.set(xlabel="CPU time (s)", ylabel=f"largest error of an event time {UNIT}", title=self.name)
-        ax.legend()
-
-
 def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, max_steps: int = 1_000_000) -> Events:
     """List when and where the mass sticks and slips: ``rig-sim events``.
 
@@ -279,12 +215,11 @@ def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, ma
     end, start = parse_number(until, "time", "--until"), parse_number(since, "time", "--since")
     steps = parse_whole(max_steps, "--max-steps")
     if loaded.coupling is None:
-        one_mass = play.events(loaded, end, since=start, max_steps=steps)
-        return Events(one_mass.events, one_mass.outcome, one_mass.advice, one_mass.steps, loaded.name)
+        return Events(**vars(play.events(loaded, end, since=start, max_steps=steps)), name=loaded.name)
     from rig_sim.motion.two_masses import two_mass_events
 
-    two_masses = two_mass_events(loaded, end, since=start, max_steps=steps)
-    return Events(two_masses.events, two_masses.outcome, two_masses.advice, two_masses.steps, loaded.name, ("x1", "x2"))
+    listed = two_mass_events(loaded, end, since=start, max_steps=steps)
+    return Events(**vars(listed), positions=("x1", "x2"), name=loaded.name)
 
 
 def run(
@@ -357,52 +292,12 @@ def run(
         "max_steps": parse_whole(max_steps, "--max-steps"),
     }
     names = file.column_names(loaded)
-    if output is None:
+    columns: tuple[Array, ...] = ()
+    path = None if output is None else Path(output)
+    if path is None:
         columns, written = file.sample_scene(loaded, **arguments)
-        return Motion(
-            None, written.samples, method, written.outcome, written.advice, written.steps, loaded.name, names, columns
-        )
-    path = Path(output)
-    written = file.write(loaded, path, method=f"{method} {setting}".strip(), force=force, **arguments)
-    return Motion(path, written.samples, method, written.outcome, written.advice, written.steps, loaded.name, names)
-
-
-def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) -> Comparison:
-    """Compare the methods of integration: largest error of an event time, and CPU time: ``rig-sim compare``.
-
-    The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
-
-    Parameters
-    ----------
-    scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass.  In Python also what `rig_sim.scene`
-        returns.
-    until : float or str
-        End of the motion, which begins at 0: in the scene's unit of time, or with a unit, '5 min'.
-    progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    InputError
-        No such scene, two masses, a scene without events, or an ``until`` that is not positive or too long.
-
-    Examples
-    --------
-    >>> import rig_sim
-    >>> found = rig_sim.compare("base", until=20)
-    >>> table = found.to_dataframe()
-    >>> bool(table[table["method"] == "exact"]["error"].max() < 1e-13)
-    True
-    """
-    from rig_sim.comparison.error_vs_time import compare as measure
-
-    loaded = load_scene(scene)
-    comparison = measure(
-        loaded, parse_number(until, "time", "--until"), progress=lambda done: progress("measuring", done, 100.0)
+    else:
+        written = file.write(loaded, path, method=f"{method} {setting}".strip(), force=force, **arguments)
+    return Motion(
+        path, written.samples, method, written.outcome, written.advice, written.steps, names, columns, name=loaded.name
     )
-    return Comparison(comparison.rows, comparison.reference, comparison.compile_s, comparison.cycles, loaded.name)

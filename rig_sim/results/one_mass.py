@@ -27,7 +27,6 @@ POINTS = 2000  # of a drawn orbit
 class Cycle(Result, limit_cycle.Orbit):
     """The periodic orbit that a scene reaches from the slip point: what `rig_sim.cycle` returns."""
 
-    name: str = field(default="", repr=False, compare=False)
     scene: Scene | None = field(default=None, repr=False, compare=False)
 
     UNITS: ClassVar["Mapping[str, str]"] = {
@@ -69,8 +68,6 @@ class Cycle(Result, limit_cycle.Orbit):
 class FixedPoint(Result, fixed.FixedPoint):
     """The fixed point of one mass and its stability: what `rig_sim.fixed_point` returns."""
 
-    name: str = field(default="", repr=False, compare=False)
-
     UNITS: ClassVar["Mapping[str, str]"] = {"x": "m", "eigenvalues": "1/s"}
     SIZE = (5.4, 4.6)
 
@@ -88,8 +85,6 @@ class FixedPoint(Result, fixed.FixedPoint):
 class TwoMassFixedPoint(Result, fixed.TwoMassFixedPoint):
     """The fixed point of two masses and its stability: what `rig_sim.fixed_point` returns for them."""
 
-    name: str = field(default="", repr=False, compare=False)
-
     UNITS: ClassVar["Mapping[str, str]"] = FixedPoint.UNITS
     SIZE = FixedPoint.SIZE
     lines = FixedPoint.lines
@@ -99,8 +94,6 @@ class TwoMassFixedPoint(Result, fixed.TwoMassFixedPoint):
 @dataclass(frozen=True, repr=False)
 class FloquetOrbit(Result, multipliers.FloquetOrbit):
     """A periodic orbit with its Floquet multipliers: what `rig_sim.floquet` returns."""
-
-    name: str = field(default="", repr=False, compare=False)
 
     UNITS: ClassVar["Mapping[str, str]"] = {"period": "s", "x_min": "m", "x_max": "m"}
     SIZE = (5.4, 4.6)

@@ -1,7 +1,7 @@
 """What the functions return: a frozen dataclass with a table, a picture and the words that a command prints."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from stickslip.errors import in_python
@@ -13,23 +13,26 @@ if TYPE_CHECKING:
 
 UNIT = "(the scene's unit)"  # after the name of an axis
 PALE, STABLE, UNSTABLE = "0.5", "#0072B2", "#D55E00"  # colours of pictures
+COLOURS = (STABLE, UNSTABLE, "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 LINES = 6  # of a result in its short text
 ROWS = 12  # of a result's table in a notebook
 
 
+@dataclass(frozen=True, repr=False)
 class Result:
     """A result; ``print(result)`` prints what the command prints.
 
     A subclass is a frozen dataclass with ``repr=False``.  Fields with ``repr=False`` are only for pictures.
     """
 
+    name: str = field(default="", repr=False, compare=False, kw_only=True)  # of the scene or system
+
     UNITS: ClassVar[Mapping[str, str]] = {}  # of columns, in a scene in SI; else the scene's own
     SIZE: ClassVar[tuple[float, float]] = (8.6, 5.0)  # of a picture, inches
-    name: str  # of the scene or system
 
     def as_json(self) -> dict[str, Any]:
         """Return what the command prints with ``--json``."""
-        return {field.name: getattr(self, field.name) for field in fields(self) if field.repr}  # type: ignore[arg-type]
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
 
     def lines(self) -> list[str]:
         """Return the lines that the command prints."""
@@ -65,15 +68,20 @@ class Result:
         from stickslip.output.plot import STYLE, figure
 
         with mpl.rc_context(fname=STYLE):
-            if ax is None:
-                ax = figure(*self.SIZE).add_subplot()
-            self.draw(ax)
-        drawn = ax.figure
-        return drawn.figure if hasattr(drawn, "figure") and drawn.figure is not None else drawn  # type: ignore[return-value]
+            if ax is not None:
+                self.draw(ax)
+                return ax.figure.figure  # of axes in a part of a figure: the whole
+            page = figure(*self.SIZE)
+            self.draw_page(page)
+        return page
 
     def undrawn(self) -> str:
         """Return why there is nothing to draw; "" where there is something."""
         return ""
+
+    def draw_page(self, page: "Figure") -> None:
+        """Draw the result into an empty figure."""
+        self.draw(page.add_subplot())
 
     def draw(self, ax: "Axes") -> None:
         """Draw the result into axes."""

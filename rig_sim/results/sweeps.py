@@ -10,8 +10,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from rig_sim.analyses import sweep as attractors
+from rig_sim.analyses.sweep import AttractorAt
 from rig_sim.results.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole
-from rig_sim.results.result import Result
+from rig_sim.results.result import COLOURS, UNIT, Result
+from rig_sim.results.resume import ResumeFile, open_resume_file
 from rig_sim.results.systems import (
     CustomAttractors,
     DrivenAttractors,
@@ -20,6 +25,7 @@ from rig_sim.results.systems import (
     load_driven_start,
     make_stick_map,
 )
+from rig_sim.systems.formula import FormulaMap
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError, check_known
 
@@ -27,9 +33,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from rig_sim.analyses.sweep import AttractorAt
-    from rig_sim.results.resume import ResumeFile
-    from rig_sim.systems.formula import FormulaMap
 
 Section = Literal["poincare", "map", "slip"]
 SECTIONS = ("poincare", "map", "slip")
@@ -39,7 +42,10 @@ ORDINATES = {  # drawn quantity, by the section and whether the mass is driven
     ("poincare", True): "x at phase 0 of the drive",
     ("slip", True): "x at break-away",
 }
-Find = Callable[[float], "list[AttractorAt]"]
+COLUMNS = ("attractor", "points", "period", "drive_periods", "share", "outcome")  # of the table, after the parameter
+Find = Callable[[float], list[AttractorAt]]
+SHARP = 480.0  # number of values times size of a drawn point: many values are drawn as fine points
+MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,8 +63,7 @@ class Sweep(Result):
 
     parameter: str
     section: str
-    attractors: "tuple[AttractorAt, ...]"
-    name: str = field(default="", repr=False, compare=False)
+    attractors: tuple[AttractorAt, ...]
     ordinate: str = field(default="", repr=False, compare=False)
 
     SIZE = (8.6, 5.6)
@@ -67,26 +72,14 @@ class Sweep(Result):
         return {"parameter": self.parameter, "section": self.section, "rows": self.rows()}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        return [
-            {
-                "parameter": row.value,
-                "attractor": row.attractor,
-                "points": row.points,
-                "period": row.period,
-                "drive_periods": row.drive_periods,
-                "share": row.share,
-                "outcome": row.outcome,
-            }
-            for row in self.attractors
-        ]
+        return [{"parameter": row.value, **{name: getattr(row, name) for name in COLUMNS}} for row in self.attractors]
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return a row for each attractor at each value; ``explode("points")`` makes one for each point."""
         import pandas as pd
 
-        columns = ["parameter", "attractor", "points", "period", "drive_periods", "share", "outcome"]
         whole_or_none = {"period": "Int64", "drive_periods": "Int64"}
-        return pd.DataFrame(list(self.rows()), columns=columns).astype(whole_or_none)
+        return pd.DataFrame(list(self.rows()), columns=["parameter", *COLUMNS]).astype(whole_or_none)
 
     def lines(self) -> list[str]:
         lines = [f"{self.parameter:>14}  attractor  share  period  points"]
@@ -101,13 +94,23 @@ class Sweep(Result):
         return lines
 
     def draw(self, ax: "Axes") -> None:
-        from rig_sim.results.pictures.maps import draw_sweep
-
-        draw_sweep(ax, self.attractors, self.parameter, self.ordinate)
+        """Draw a bifurcation diagram: the points of every attractor."""
+        rows = [row for row in self.attractors if row.points]
+        size = min(max(SHARP / max(len({row.value for row in self.attractors}), 1), 2.4), 5.0)
+        for number in sorted({row.attractor for row in rows}):
+            of_attractor = [row for row in rows if row.attractor == number]
+            x = np.concatenate([np.full(len(row.points), row.value) for row in of_attractor])
+            y = np.concatenate([row.points for row in of_attractor])
+            colour, label = COLOURS[(number - 1) % len(COLOURS)], f"attractor {number}"
+            ax.plot(x, y, ".", ms=size, mew=0, color=colour, rasterized=len(x) > MOST_DRAWN, label=label)
+        if ax.lines:
+            ax.legend(markerscale=14.4 / size, framealpha=0.85, edgecolor="none", frameon=True)
+        ax.set(xlabel=f"{self.parameter} {UNIT}", ylabel=f"{self.ordinate} {UNIT}")
+        ax.set_title(f"Attractors over {self.parameter}")
 
 
 def sweep(
-    scene: "SceneLike | Callable[[float], FormulaMap]",
+    scene: SceneLike | Callable[[float], FormulaMap],
     over: "str | tuple[str, Sequence[float]]",
     *,
     section: Section = "poincare",
@@ -186,12 +189,10 @@ def sweep(
     if resume is None:
         rows = sweep_values(find, span, jobs, scheduler, None, progress)
     else:
-        from rig_sim.results.resume import open_resume_file
-
         path = Path(resume)
         with open_resume_file(path, make_header(content, span, section)) as file:
             rows = sweep_values(find, span, jobs, scheduler, file, progress)
-    return Sweep(span.key, section, tuple(rows), name, ordinate)
+    return Sweep(span.key, section, tuple(rows), ordinate, name=name)
 
 
 def prepare_scene(source: SceneLike, span: ParameterRange, section: str) -> tuple[Find, str, str, dict[str, Any]]:
@@ -220,25 +221,24 @@ def sweep_values(
     span: ParameterRange,
     jobs: int,
     scheduler: str | None,
-    file: "ResumeFile | None",
+    file: ResumeFile | None,
     progress: Stages,
-) -> "list[AttractorAt]":
+) -> list[AttractorAt]:
     """Return the attractors at every value: those in the file are read, the others are appended to it."""
-    from rig_sim.analyses.sweep import sweep as follow
     from stickslip.compute.workers import workers
     from stickslip.console.application import plain
 
     values = span.values().tolist()
     finished = read_finished(file) if file is not None else {}
 
-    def keep(value: float, rows: "list[AttractorAt]") -> None:
+    def keep(value: float, rows: list[AttractorAt]) -> None:
         if file is not None:
             file.append(plain({"value": value, "attractors": [asdict(row) for row in rows]}))
 
     if all(value in finished for value in values):
         jobs, scheduler = 1, None  # nothing to share out
     with workers(jobs, scheduler, join=True) as spread:
-        return follow(
+        return attractors.sweep(
             find,
             values,
             spread=spread,
@@ -258,10 +258,8 @@ def make_header(content: dict[str, Any], span: ParameterRange, section: str) -> 
     return {"command": "rig-sim sweep", "version": VERSION, "over": over, "section": section, "scene": plain(content)}
 
 
-def read_finished(file: "ResumeFile") -> "dict[float, list[AttractorAt]]":
-    from rig_sim.analyses.sweep import AttractorAt
-
-    nan = float("nan")
+def read_finished(file: ResumeFile) -> dict[float, list[AttractorAt]]:
+    nan = math.nan
     finished = {}
     try:
         for row in file.rows:

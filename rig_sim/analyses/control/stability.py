@@ -30,6 +30,11 @@ class ShakerCurve:
     phi: Array
     a: Array
 
+    def with_gaps(self) -> tuple[Array, Array]:
+        """Return phi and a with a gap where the phase passes 0, so that no line is drawn back."""
+        jumps = np.flatnonzero(np.abs(np.diff(self.phi)) > math.pi) + 1
+        return np.insert(self.phi, jumps, np.nan), np.insert(self.a, jumps, np.nan)
+
 
 @dataclass(frozen=True)
 class ShakerPlane:

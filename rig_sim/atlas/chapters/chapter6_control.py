@@ -28,9 +28,7 @@ ORBITS = {2: (1.6, 0.0006), 5: (1.1, 0.0047)}  # by period: the drive's frequenc
 
 
 def trace_curve(curve: ShakerCurve, label: str, colour: int, dashed: bool = False) -> Trace:
-    jumps = np.flatnonzero(np.abs(np.diff(curve.phi)) > math.pi) + 1
-    phi, a = np.insert(curve.phi, jumps, np.nan), np.insert(curve.a, jumps, np.nan)
-    return Trace(phi, a, label, "dashed" if dashed else "line", colour)
+    return Trace(*curve.with_gaps(), label, "dashed" if dashed else "line", colour)
 
 
 def make_plane_panel(traces: tuple[Trace, ...]) -> tuple[Panel, ...]:

@@ -16,7 +16,7 @@ from rig_sim.analyses.sweep import AttractorAt, number_as_before
 from rig_sim.cli import app as cli
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
-from rig_sim.results.pictures.maps import PLACES, find_jumps
+from rig_sim.results.maps import PLACES, find_jumps
 from rig_sim.scenes.scene import scene
 from rig_sim.systems.stick import StickMap
 from stickslip.console import application

@@ -14,7 +14,7 @@ from rig_sim.analyses.control.ogy import lock
 from rig_sim.analyses.control.search_and_lock import search_and_lock
 from rig_sim.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.cli.app import app
-from rig_sim.results import control
+from rig_sim.results import lock as control
 from rig_sim.scenes.scene import scene
 from rig_sim.systems.interface import difference, orbit
 from rig_sim.systems.landing import LandingMap
