@@ -18,6 +18,7 @@ ripple.
 """
 
 import math
+import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -104,11 +105,7 @@ class ScenePlayer:
         # Of this stretch, each with the number of corners before it
         self._flows: list[tuple[int, Flow | MemoryFlow]] = []
         self._kicks = 0
-        self._scatter = None
-        if scene.scatter is not None:
-            from rig_sim.effects.scatter import ScatteredLevel
-
-            self._scatter = ScatteredLevel(scene.scatter.Fs, scene.seed)
+        self._scatter = random.Random(f"{scene.seed}/scatter")
         self._landings_matter = scene.wear is not None or scene.scatter is not None
         self._work: Any = memory.new_memory_work(max_steps) if self._has_memory else new_work(max_steps)
         self._mode = self._classify()
@@ -231,11 +228,9 @@ class ScenePlayer:
             return math.inf
         if self._belt_waits:
             return belt.start
-        if self.scene.joint is None or belt.length is None:
+        if self.scene.joint is None or belt.length is None or belt.speed == 0.0:
             return math.inf
-        from rig_sim.effects.joint import passing_time
-
-        return passing_time(self._kicks + 1, belt.start, belt.length, belt.speed)
+        return belt.start + (self._kicks + 1) * belt.length / abs(belt.speed)
 
     def _apply_change(self, reached: int, corners: list[tuple[int, float, float, float]]) -> None:
         """Start the belt, or kick the mass."""
@@ -274,11 +269,9 @@ class ScenePlayer:
         """Return the factor on the friction curve from this landing on."""
         factor = 1.0
         if self.scene.wear is not None:
-            from rig_sim.effects.wear import wear_factor
-
-            factor = wear_factor(self.scene.wear.rate, self.t)
-        if self._scatter is not None:
-            factor *= self._scatter.factor()
+            factor = 1.0 - self.scene.wear.rate * self.t
+        if self.scene.scatter is not None:
+            factor *= 1.0 + self._scatter.gauss(0.0, self.scene.scatter.Fs)
         return max(LEAST_FACTOR, factor)
 
     def _record_event(self, kind: str) -> None:
