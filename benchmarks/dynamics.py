@@ -31,7 +31,7 @@ import numpy as np
 from rig_sim.analyses.sweep import sweep
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
-from rig_sim.results.systems import SweptScene, TwoMassAttractors
+from rig_sim.results.systems import SweptScene, find_two_mass_attractors
 from rig_sim.scenes.scene import scene
 from rig_sim.systems.stick import COARSE, EXACT, FINE, StickMap
 from stickslip.compute.workers import workers
@@ -95,7 +95,7 @@ def map_speed(events):
 
 def sweep_speed():
     """Print and return the times of the diagram by who computes it."""
-    find = TwoMassAttractors(SweptScene(scene("two-mass"), "belt.speed"), "poincare")
+    find = partial(find_two_mass_attractors, SweptScene(scene("two-mass"), "belt.speed"), "poincare")
     ways = {"one process": (1, False), "two processes": (2, False), "two dask workers": (1, True)}
     if find_spec("distributed") is None:
         print("dask.distributed is not installed: pip install 'stickslip[cluster]'")

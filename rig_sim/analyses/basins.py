@@ -29,7 +29,7 @@ class Attractor:
 
     # one period in the order of the orbit, from the smallest; or `POINTS` iterates where it is not periodic
     points: tuple[float, ...]
-    # None for a chaotic one, or a period above `rig_sim.systems.period.LONGEST_PERIOD`
+    # None for a chaotic one, or a period above `LONGEST_PERIOD`
     period: int | None
     share: float  # of the cells that lead to it
 

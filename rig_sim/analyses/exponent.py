@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_sim.analyses.settling import GROWING, SAME, is_growing
+from rig_sim.analyses.settling import GROWING, SAME, find_period, is_growing
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 from rig_sim.systems.interface import Motion, Passages
-from rig_sim.systems.period import find_period
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, parts, silent
 

@@ -10,7 +10,7 @@ from rig_sim.analyses.sweep import SAME_POINT, AttractorAt, merge_close_points
 from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.integrate.pair_motion import CROSSINGS, PairMotion
-from rig_sim.systems.step_budget import StepBudget, StepLimitError
+from rig_sim.systems.interface import StepBudget, StepLimitError
 from rig_sim.systems.stick import StickMap
 from stickslip.compute.arrays import Array
 

@@ -1,7 +1,7 @@
 """Attractors of a system and their periods: each start is followed until its motion repeats, or for a long time.
 
 A motion is periodic when its state at the section comes back within `SAME`, again and again
-(`rig_sim.systems.period`).  Of a driven system the section is the drive's phase 0, so that the period counts in
+(`find_period`).  Of a driven system the section is the drive's phase 0, so that the period counts in
 drive periods.  Starts whose motions end on the same points share an attractor.
 """
 
@@ -13,10 +13,13 @@ import numpy as np
 from rig_sim.analyses.sweep import SAME_POINT, AttractorAt, merge_close_points
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
 from rig_sim.systems.interface import Motion, ReturnMap
-from rig_sim.systems.period import LONGEST_PERIOD, REPEATS, find_period
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import parts, silent
 
+LONGEST_PERIOD = 64
+# Least number of points at the end of the sequence that have to repeat: an intermittent motion stays near an unstable
+# orbit of period p for a while, where fewer points repeat by accident.
+REPEATS = 16
 # Relative to the system's scale: how closely a state has to come back.  Rounding of a stable orbit stays at 1e-13; a
 # chaotic one does not come back so closely within the compared passages.
 SAME = 1e-8
@@ -38,6 +41,15 @@ DRAWN = 512  # drawn passages of an attractor that is not periodic
 GROWTH = 1.5
 LARGE = 2.0  # size over the scale that a growing motion exceeds; a mass in stick is below 1
 GROWING = Outcome("growing", "the motion still grows after a long time: add damping, or move off the resonance")
+
+
+def find_period(orbit: Array, tolerance: float) -> int | None:
+    """Return the least period with which the end of an orbit repeats within ``tolerance``; None without one."""
+    for period in range(1, min(LONGEST_PERIOD, len(orbit) // 2) + 1):
+        span = min(max(period, REPEATS), len(orbit) - period)
+        if np.all(np.abs(orbit[-span:] - orbit[-span - period : -period]) <= tolerance):
+            return period
+    return None
 
 
 @dataclass(frozen=True)

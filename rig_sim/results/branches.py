@@ -14,7 +14,7 @@ from rig_sim.results.result import PALE, STABLE, UNIT, UNSTABLE, Result
 from rig_sim.results.systems import SweptScene, make_stick_map, require_interval
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.systems.formula import FormulaMap
-from rig_sim.systems.step_budget import StepBudget
+from rig_sim.systems.interface import StepBudget
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
 

@@ -15,8 +15,8 @@ from rig_sim.results.arguments import SceneLike, check_size, load_scene, parse_p
 from rig_sim.results.result import PALE, STABLE, UNIT, UNSTABLE, Result
 from rig_sim.results.systems import make_landing_map
 from rig_sim.systems.formula import FormulaMap
+from rig_sim.systems.interface import StepBudget, StepLimitError
 from rig_sim.systems.landing import LandingMap
-from rig_sim.systems.step_budget import StepBudget, StepLimitError
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError, check_known

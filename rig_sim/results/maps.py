@@ -18,8 +18,7 @@ from rig_sim.results.systems import make_driven_map, make_stick_map, require_int
 from rig_sim.scenes.model import Scene
 from rig_sim.systems import stick
 from rig_sim.systems.formula import FormulaMap
-from rig_sim.systems.interface import OnInterval
-from rig_sim.systems.step_budget import StepBudget
+from rig_sim.systems.interface import OnInterval, StepBudget
 from rig_sim.systems.stick import StickEvent, StickMap
 from stickslip.compute.arrays import Array, Integers
 from stickslip.compute.stages import Stages, silent

@@ -22,7 +22,7 @@ from rig_sim.results.arguments import SceneLike, load_scene
 from rig_sim.results.result import PALE, UNIT, Result
 from rig_sim.results.systems import require_period
 from rig_sim.systems.driven import DrivenMap
-from rig_sim.systems.step_budget import StepBudget
+from rig_sim.systems.interface import StepBudget
 from stickslip.compute.stages import Stages, silent
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ where it ends.  Afterwards each takes the number of the closest one at the value
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,10 +19,10 @@ from rig_sim.results.arguments import ParameterRange, SceneLike, load_scene, par
 from rig_sim.results.result import COLOURS, UNIT, Result
 from rig_sim.results.resume import ResumeFile, open_resume_file
 from rig_sim.results.systems import (
-    CustomAttractors,
-    DrivenAttractors,
     SweptScene,
-    TwoMassAttractors,
+    find_custom_attractors,
+    find_driven_attractors,
+    find_two_mass_attractors,
     load_driven_start,
     make_stick_map,
 )
@@ -174,11 +175,8 @@ def sweep(
     span = parse_range(over, of_scene=not is_custom)
     find: Find
     if callable(scene):
-        find, name, ordinate = (
-            CustomAttractors(scene),
-            type(scene(span.start)).__name__,
-            "first coordinate of the state",
-        )
+        find, name = partial(find_custom_attractors, scene), type(scene(span.start)).__name__
+        ordinate = "first coordinate of the state"
         content: dict[str, Any] = {"name": name}
         if jobs > 1 or scheduler is not None:
             from stickslip.compute.cluster import check_sendable
@@ -211,7 +209,7 @@ def prepare_scene(source: SceneLike, span: ParameterRange, section: str) -> tupl
             make_stick_map(end)
         else:
             load_driven_start(end)
-    find: Find = TwoMassAttractors(swept, section) if coupled else DrivenAttractors(swept, section)
+    find = partial(find_two_mass_attractors if coupled else find_driven_attractors, swept, section)
     content = first.model_dump(exclude={"name", "title"}, exclude_unset=True)
     return find, first.name, ORDINATES[section, not coupled], content
 

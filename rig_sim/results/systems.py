@@ -3,27 +3,27 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from rig_sim.analyses import section
+from rig_sim.analyses.settling import find_attractors
+from rig_sim.analyses.sweep import AttractorAt
+from rig_sim.flow.flow import Flow, validate
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import change_in_python, scene
+from rig_sim.systems.driven import DrivenMap, driven_map_with_starts
+from rig_sim.systems.formula import FormulaMap
+from rig_sim.systems.interface import StepBudget
+from rig_sim.systems.landing import LandingMap
+from rig_sim.systems.stick import StickMap
+from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
-
-if TYPE_CHECKING:
-    from rig_sim.analyses.sweep import AttractorAt
-    from rig_sim.flow.flow import Flow
-    from rig_sim.systems.driven import DrivenMap
-    from rig_sim.systems.formula import FormulaMap
-    from rig_sim.systems.landing import LandingMap
-    from rig_sim.systems.step_budget import StepBudget
-    from rig_sim.systems.stick import StickMap
-    from stickslip.compute.arrays import Array
 
 CHANGE_IT = "change that value with --set"
 STARTS = 8  # starts on a user's map of an interval; fewer miss attractors with small basins
-OFFSET = (
-    0.6180339887498949  # of a start in its part of the interval: not a simple fraction, where unstable orbits may lie
-)
+# Of a start in its part of the interval: not a simple fraction, where unstable orbits may lie
+OFFSET = 0.6180339887498949
 
 
 def reject_scene(scene: Scene, error: ValueError) -> InputError:
@@ -32,10 +32,8 @@ def reject_scene(scene: Scene, error: ValueError) -> InputError:
     return InputError(str(error), f"scene {scene.name}", CHANGE_IT, python=python)
 
 
-def make_stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMap":
+def make_stick_map(scene: Scene, budget: StepBudget | None = None) -> StickMap:
     """Return the map of a scene of two masses, with its own integrator steps or from a ``budget`` that maps share."""
-    from rig_sim.systems.stick import StickMap
-
     flow = scene.two_mass_flow()
     try:
         return StickMap(flow, budget=budget)
@@ -43,10 +41,8 @@ def make_stick_map(scene: Scene, budget: "StepBudget | None" = None) -> "StickMa
         raise reject_scene(scene, error) from None
 
 
-def load_driven_start(scene: Scene) -> "tuple[Flow, float, float]":
+def load_driven_start(scene: Scene) -> tuple[Flow, float, float]:
     """Return the flow and the start (x, v) of a scene of one driven mass."""
-    from rig_sim.flow.flow import validate
-
     if scene.drive is None:
         do = "set drive.u0 and drive.omega, or take the scene forced"
         python = f"write rig_sim.scene({scene.name!r}, **{{'drive.u0': 0.2, 'drive.omega': 1.6}}), or take 'forced'"
@@ -59,7 +55,7 @@ def load_driven_start(scene: Scene) -> "tuple[Flow, float, float]":
     return flow, float(scene.start.x), float(scene.start.v)
 
 
-def require_period(scene: Scene) -> "tuple[Flow, float, float]":
+def require_period(scene: Scene) -> tuple[Flow, float, float]:
     """Return flow and start as `load_driven_start`, or refuse a drive without a period."""
     flow, x, v = load_driven_start(scene)
     if flow.omega == 0.0:
@@ -69,20 +65,14 @@ def require_period(scene: Scene) -> "tuple[Flow, float, float]":
     return flow, x, v
 
 
-def make_driven_map(scene: Scene, section: str) -> "tuple[DrivenMap, Array]":
+def make_driven_map(scene: Scene, section: str) -> tuple[DrivenMap, Array]:
     """Return a driven mass as a system, and the scene's own start; errors as `require_period`."""
-    import numpy as np
-
-    from rig_sim.systems.driven import DrivenMap
-
     flow, x, v = require_period(scene)
     return DrivenMap(flow, section), np.array([x, v])
 
 
-def make_landing_map(scene: Scene, budget: "StepBudget") -> "LandingMap":
+def make_landing_map(scene: Scene, budget: StepBudget) -> LandingMap:
     """Return the map from landing to landing of a scene of one driven mass."""
-    from rig_sim.systems.landing import LandingMap
-
     flow = scene.flow()
     if scene.drive is None:
         python = change_in_python(scene.name, "drive.u0", "0.2")
@@ -104,64 +94,37 @@ class SweptScene:
     def with_value(self, value: float, **changes: object) -> Scene:
         return scene(self.scene, **{**changes, self.key: value})
 
-    def flow(self, value: float) -> "Flow":
+    def flow(self, value: float) -> Flow:
         return self.with_value(value).flow()
 
 
-@dataclass(frozen=True)
-class TwoMassAttractors:
-    """Finds the attractors of two masses at a value of one key; ``section`` is the one whose points are drawn."""
-
-    swept: SweptScene
-    section: str
-
-    def __call__(self, value: float) -> "list[AttractorAt]":
-        from rig_sim.analyses.section import attractors_at
-
-        return attractors_at(lambda key_value: self.swept.with_value(key_value).two_mass_flow(), self.section, value)
+def find_two_mass_attractors(swept: SweptScene, drawn: str, value: float) -> list[AttractorAt]:
+    """Return the attractors of two masses at a value of one key; ``drawn`` is the section whose points are drawn."""
+    return section.attractors_at(lambda key_value: swept.with_value(key_value).two_mass_flow(), drawn, value)
 
 
-@dataclass(frozen=True)
-class DrivenAttractors:
-    """Finds the attractors of a driven mass at a value of one key; ``section`` is the one whose points are drawn."""
-
-    swept: SweptScene
-    section: str
-
-    def __call__(self, value: float) -> "list[AttractorAt]":
-        from rig_sim.analyses.settling import find_attractors
-        from rig_sim.analyses.sweep import AttractorAt
-        from rig_sim.systems.driven import driven_map_with_starts
-
-        flow, x, v = load_driven_start(self.swept.with_value(value))
-        if flow.omega == 0.0:
-            return [AttractorAt(value, 0, (), None, 0.0, (math.nan, math.nan), None, "no drive period")]
-        rows = find_attractors(*driven_map_with_starts(flow, x, v, self.section), value)
-        if flow.u0 == 0.0:
-            rows = [replace(row, outcome="no drive" if row.points else row.outcome) for row in rows]
-        return rows
+def find_driven_attractors(swept: SweptScene, drawn: str, value: float) -> list[AttractorAt]:
+    """Return the attractors of a driven mass at a value of one key; ``drawn`` is the section whose points are drawn."""
+    flow, x, v = load_driven_start(swept.with_value(value))
+    if flow.omega == 0.0:
+        return [AttractorAt(value, 0, (), None, 0.0, (math.nan, math.nan), None, "no drive period")]
+    rows = find_attractors(*driven_map_with_starts(flow, x, v, drawn), value)
+    if flow.u0 == 0.0:
+        rows = [replace(row, outcome="no drive" if row.points else row.outcome) for row in rows]
+    return rows
 
 
-@dataclass(frozen=True)
-class CustomAttractors:
-    """Finds the attractors of a custom system; ``system_at`` returns it for a value of its parameter."""
-
-    system_at: "Callable[[float], FormulaMap]"
-
-    def __call__(self, value: float) -> "list[AttractorAt]":
-        import numpy as np
-
-        from rig_sim.analyses.settling import find_attractors
-
-        f = self.system_at(value)
-        starts = [f.start]
-        if math.isfinite(f.hi - f.lo):
-            positions = f.lo + (f.hi - f.lo) * (np.arange(STARTS) + OFFSET) / STARTS
-            starts += [np.array([position]) for position in positions]
-        return find_attractors(f, starts, value)
+def find_custom_attractors(system_at: Callable[[float], FormulaMap], value: float) -> list[AttractorAt]:
+    """Return the attractors of a custom system, which ``system_at`` returns for a value of its parameter."""
+    f = system_at(value)
+    starts = [f.start]
+    if math.isfinite(f.hi - f.lo):
+        positions = f.lo + (f.hi - f.lo) * (np.arange(STARTS) + OFFSET) / STARTS
+        starts += [np.array([position]) for position in positions]
+    return find_attractors(f, starts, value)
 
 
-def require_interval(f: "FormulaMap") -> "FormulaMap":
+def require_interval(f: FormulaMap) -> FormulaMap:
     """Return a custom system that is a map of an interval; refuse one of more coordinates, or without an interval."""
     if len(f.scale) != 1 or not math.isfinite(f.hi - f.lo):
         do = "give its interval"

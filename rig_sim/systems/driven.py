@@ -14,7 +14,7 @@ from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirror_mode, position
 from rig_sim.integrate.compiled import for_kernels
 from rig_sim.integrate.work import new_record, new_work
-from rig_sim.systems.interface import Passages
+from rig_sim.systems.interface import Passages, StepBudget
 from rig_sim.systems.passage import (
     COLUMNS,
     ENDS,
@@ -30,7 +30,6 @@ from rig_sim.systems.passage import (
     DrivenState,
     compiled_passages,
 )
-from rig_sim.systems.step_budget import StepBudget
 from stickslip.compute.arrays import Array
 
 SECTIONS = {"poincare": STROBE, "slip": SLIP, "landing": LANDING}

@@ -20,6 +20,7 @@ import numpy as np
 
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
 from stickslip.compute.arrays import Array
+from stickslip.errors import InputError
 
 # Difference quotients of fourth order: offsets and weights, over 12 steps.
 STENCIL, WEIGHTS = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -1.0])
@@ -30,6 +31,24 @@ INTERVAL_STEP = 2e-5
 # of fourth order are both below 1e-9 of a derivative; 1e-4 loses orbits next to grazing.
 STATE_STEP = 1e-5
 NO_ATTRACTOR = Outcome("no attractor", "the orbit leaves the places where the map is defined")
+
+
+class StepLimitError(InputError):
+    """An analysis has taken more integrator steps than allowed."""
+
+
+@dataclass
+class StepBudget:
+    """Integrator steps ``allowed`` in a whole analysis, however many motions it follows, and those ``left``."""
+
+    allowed: float
+
+    def __post_init__(self) -> None:
+        self.left = self.allowed
+
+    def limit_error(self, where: str, do: str) -> StepLimitError:
+        """Return the error of a spent budget, with the analysis (``where``) and the remedy (``do``)."""
+        return StepLimitError(f"step limit: more than {self.allowed:.0e} integrator steps", where, do)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from rig_sim.integrate.phases import Lists, State, run
 from rig_sim.integrate.sampled import sample_motion
 from rig_sim.integrate.work import Work, new_work, unboxed
 from rig_sim.systems.formula import FormulaMap
-from rig_sim.systems.step_budget import StepBudget
+from rig_sim.systems.interface import StepBudget
 from stickslip.compute.arrays import Array
 
 # Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that takes more counts as

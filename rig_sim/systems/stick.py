@@ -18,8 +18,7 @@ from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
 from rig_sim.integrate.two_mass import Pair, new_pair, pair_event, set_state
 from rig_sim.integrate.work import ORDER, Buffer, unboxed
-from rig_sim.systems.interface import IntervalMotion, growth_at
-from rig_sim.systems.step_budget import StepBudget, StepLimitError
+from rig_sim.systems.interface import IntervalMotion, StepBudget, StepLimitError, growth_at
 from stickslip.compute.arrays import Array
 
 # Steps allowed for one event, and more per unit of the fastest frequency, sqrt(1 + 2 a), up to a limit, above which the

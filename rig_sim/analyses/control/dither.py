@@ -27,7 +27,7 @@ from rig_sim.flow.modes import COMPLETED, NEGATIVE, OUTCOMES, STEP_LIMIT
 from rig_sim.integrate.phases import State
 from rig_sim.integrate.sampled import sample_motion
 from rig_sim.systems.driven import DrivenMap
-from rig_sim.systems.step_budget import StepBudget
+from rig_sim.systems.interface import StepBudget
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 

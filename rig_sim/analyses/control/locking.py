@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig_sim.analyses.control.ogy import REPORTED, Lock, lock
+from rig_sim.analyses.settling import find_period
 from rig_sim.analyses.unstable_orbits import UnstableOrbit, find_orbits_in_motion
-from rig_sim.systems.interface import Controlled, difference, orbit
-from rig_sim.systems.period import find_period
-from rig_sim.systems.step_budget import StepLimitError
+from rig_sim.systems.interface import Controlled, StepLimitError, difference, orbit
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, parts, silent
 

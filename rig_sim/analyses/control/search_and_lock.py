@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rig_sim.analyses.settling import find_period
 from rig_sim.systems.interface import Controlled, difference, orbit
-from rig_sim.systems.period import find_period
 from stickslip.compute.arrays import Array
 from stickslip.compute.stages import Stages, silent
 
