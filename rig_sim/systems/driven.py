@@ -12,7 +12,7 @@ import numpy as np
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirror_mode, position
-from rig_sim.integrate.compiled import for_kernels
+from rig_sim.integrate.compiled import compiled, for_kernels
 from rig_sim.integrate.work import new_record, new_work
 from rig_sim.systems.interface import Passages, StepBudget
 from rig_sim.systems.passage import (
@@ -28,7 +28,7 @@ from rig_sim.systems.passage import (
     VELOCITY,
     Clock,
     DrivenState,
-    compiled_passages,
+    list_passages,
 )
 from stickslip.compute.arrays import Array
 
@@ -123,7 +123,7 @@ class DrivenMotion:
         out = np.zeros(number * COLUMNS)
         self._work.steps = 0.0
         self._work.steps_allowed = allowed
-        follow = compiled_passages()
+        follow = compiled(list_passages, "rig_sim.systems.variation", list_passages.__module__)
         fr, clock = self.system.frame, self.system.clock
         outcome, count = follow(fr, clock, mask, int(tangent), number, self._at, out, self._work)
         self.system.budget.left -= self._work.steps

@@ -7,9 +7,7 @@ one landing to the next.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -94,9 +92,8 @@ class LandingMap(FormulaMap):
     def _follow_to_landing(self, state: State, change: float) -> Landing:
         flow = self._compiled_flow._replace(u0=self.flow.u0 + change)
         end = state.t + self._horizon
-        outcome, end_state, x_slip, self._steps = compiled_landing()(
-            flow, state, end, self._behind, self._one, self._work
-        )
+        follow = compiled(next_landing, __name__)
+        outcome, end_state, x_slip, self._steps = follow(flow, state, end, self._behind, self._one, self._work)
         if outcome != LANDED:
             name = modes.OUTCOMES[outcome].name
             reason = "no landing" if outcome in (modes.COMPLETED, modes.STEP_LIMIT) else name
@@ -152,8 +149,3 @@ def next_landing(
             x_slip = state.x
         elif state.mode == modes.STICK or (state.mode == modes.RAMP and before == slow_mode):
             return LANDED, state, x_slip, work.steps
-
-
-@cache
-def compiled_landing() -> Callable[..., tuple[int, State, float, float]]:
-    return compiled(next_landing, __name__)

@@ -11,9 +11,7 @@ bit, however long it has lasted.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import NamedTuple
 
 from rig_sim.flow import modes
@@ -148,10 +146,3 @@ def normalise(fr: Frame, dp: float, dw: float) -> tuple[float, float, float]:
     if not size > 0.0:
         return 1.0 / fr.omega0, 0.0, -math.inf
     return dp / size, dw / size, math.log(size)
-
-
-@cache
-def compiled_passages() -> Callable[..., tuple[int, int]]:
-    from rig_sim.integrate.compiled import compiled
-
-    return compiled(list_passages, "rig_sim.systems.variation", __name__)
