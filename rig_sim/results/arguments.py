@@ -43,10 +43,13 @@ def parse_plain_number(value: float, flag: str, do: str = "give a number") -> fl
         raise InputError(f"is {value!r:.60}", flag, do) from None
 
 
-def parse_whole(value: int, flag: str) -> int:
+def parse_whole(value: int, flag: str, least: float = -math.inf, most: float = math.inf, of: str = "") -> int:
+    """Return a whole number from ``least`` to ``most``; ``of`` names what is counted in the message."""
     number = parse_plain_number(value, flag, "give a whole number")
     if not number.is_integer():
         raise InputError(f"is {value!r}, not a whole number", flag, "give a whole number")
+    if not least <= number <= most:
+        raise InputError(f"is {value}", flag, f"give {least} " + ("or more" if math.isinf(most) else f"to {most}{of}"))
     return int(number)
 
 

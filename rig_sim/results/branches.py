@@ -184,8 +184,8 @@ def continue_(
     >>> [(point.kind, round(point.value, 6)) for point in found.points]
     [('hopf', 0.382653), ('fold', 0.556168)]
     """
-    if draws is not None and not 2 <= parse_whole(draws, "--draws") <= MOST_DRAWS:
-        raise InputError(f"is {draws}", "--draws", f"give 2 to {MOST_DRAWS}")
+    if draws is not None:
+        draws = parse_whole(draws, "--draws", 2, MOST_DRAWS)
     if callable(scene):
         return follow_custom_system(scene, parse_range(over, of_scene=False), draws, progress)
     span = parse_range(over)

@@ -225,11 +225,8 @@ def lock(
     check_size("budget", size)
     if size > 1.0:
         raise InputError(f"is {size:g}", "--budget", "give a fraction of drive.u0, from 0 to 1")
-    orbit_period, max_events = parse_whole(period, "--period"), parse_whole(events, "--events")
-    if not 1 <= orbit_period <= MOST_PERIOD:
-        raise InputError(f"is {period}", "--period", f"give 1 to {MOST_PERIOD} landings")
-    if not 1 <= max_events <= MOST_EVENTS:
-        raise InputError(f"is {events}", "--events", f"give 1 to {MOST_EVENTS}")
+    orbit_period = parse_whole(period, "--period", 1, MOST_PERIOD, " landings")
+    max_events = parse_whole(events, "--events", 1, MOST_EVENTS)
     check_known(method, METHODS, "method", "--method")
     fields, f, control, name = lock_motion(scene, orbit_period, size, method, max_events, progress)
     return Lock(method, orbit_period, size, size * f.strength, **fields, name=name, system=f, control=control)

@@ -31,6 +31,7 @@ MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
 STEPS_PER_EVENT = 1000  # of basins and of lyapunov, whose slopes take four more events; the thesis's take 30 each
 MANY_EVENTS = 500  # interpreted a few seconds; above, compiled code is faster including its compilation
+SECTION_PER = {"landing": "landing", "drive period": "poincare"}  # sections of a driven mass, in the order tried
 ROTATIONS = 2000  # landings in the mean time between two
 PLACES = 4000  # points of the drawn curve of a map
 VISIBLE, HALVINGS = 0.005, 30  # least visible jump of a map, of its interval; halvings that tell it from a steep rise
@@ -95,7 +96,7 @@ class Map(Result):
         lines = [f"{'d':>22} {'f(d)':>22}  word"] if self.has_places else []
         for d, f, word, outcome, advice in zip(self.d, self.f, self.word, self.outcome, self.advice, strict=True):
             end = "" if outcome == "completed" else f"  {outcome} ({advice})"
-            lines.append(f"{d:22.15g} {format_finite(f, '.15g'):>22}  {word}{end}")
+            lines.append(f"{d:22.15g} {format(f, '.15g') if math.isfinite(f) else '-':>22}  {word}{end}")
         if self.periodic is not None:
             lines += [
                 f"period {orbit.period}, {'stable' if orbit.stable else 'unstable'}, slope {orbit.slope:.12g}: "
@@ -271,9 +272,7 @@ def map(
     0  0.05  0.142806  12 21
     1  0.10  0.123401  21 21
     """
-    count = parse_whole(iterate, "--iterate")
-    if count < 1:
-        raise InputError(f"is {iterate}", "--iterate", "give 1 or more")
+    count = parse_whole(iterate, "--iterate", 1)
     is_formula = isinstance(scene, FormulaMap)
     name = type(scene).__name__ if isinstance(scene, FormulaMap) else load_scene(scene).name
     f: Any = require_interval(scene) if isinstance(scene, FormulaMap) else make_stick_map(load_scene(scene))
@@ -351,9 +350,7 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     >>> [attractor.period for attractor in found.attractors], found.shares[0] > found.shares[1]
     ([2, 2], True)
     """
-    number = parse_whole(cells, "--cells")
-    if not 2 <= number <= MOST_CELLS:
-        raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
+    number = parse_whole(cells, "--cells", 2, MOST_CELLS)
     name = type(scene).__name__ if isinstance(scene, FormulaMap) else load_scene(scene).name
     f: Any = require_interval(scene) if isinstance(scene, FormulaMap) else make_stick_map_for(load_scene(scene), number)
     return Basins(**vars(cell_mapping.basins(f, number, progress)), name=name)
@@ -396,9 +393,7 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     >>> found.per, found.exponent > 5 * found.stderr > 0
     ('landing', True)
     """
-    number = parse_whole(events, "--events")
-    if not BLOCKS <= number <= MOST_EVENTS:
-        raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
+    number = parse_whole(events, "--events", BLOCKS, MOST_EVENTS)
     if isinstance(scene, FormulaMap):
         result = exponent(scene.motion(scene.start), number, progress)
         advice = "no exponent; take another start or other parameters"
@@ -416,15 +411,12 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
 
 def _driven_lyapunov(loaded: Scene, events: int, progress: Stages) -> Exponent:
     """Return the exponent of a driven mass per landing, or per drive period where it does not stick."""
-    per = "landing"
-    f, start = make_driven_map(loaded, "landing")
-    motion = f.motion(start)
-    result = exponent(motion, events, progress)
-    if result.outcome == "no stick":
-        per = "drive period"
-        f, start = make_driven_map(loaded, "poincare")
+    for per in SECTION_PER:
+        f, start = make_driven_map(loaded, SECTION_PER[per])
         motion = f.motion(start)
         result = exponent(motion, events, progress)
+        if result.outcome != "no stick":
+            break
     rotation = None
     if per == "landing" and result.outcome == "completed":
         rotation = rotation_number(motion.follow(ROTATIONS))
@@ -438,7 +430,3 @@ def format_with_error(value: float, stderr: float) -> str:
         return f"{value:.8g} +- {stderr:.2g}"
     decimals = max(0, 1 - math.floor(math.log10(stderr)))
     return f"{value:.{decimals}f} +- {stderr:.2g}"
-
-
-def format_finite(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else "-"

@@ -291,7 +291,7 @@ def run(
         "phases": phases,
         "max_steps": parse_whole(max_steps, "--max-steps"),
     }
-    names = file.column_names(loaded)
+    names = tuple(file.describe_columns(loaded))
     columns: tuple[Array, ...] = ()
     path = None if output is None else Path(output)
     if path is None:

@@ -10,7 +10,7 @@ from rig_sim.analyses.limit_cycles import limit_cycle
 from rig_sim.flow.modes import NEGATIVE, POSITIVE
 from rig_sim.integrate.phases import State
 from rig_sim.results.arguments import SceneLike, load_scene
-from rig_sim.results.result import PALE, STABLE, UNIT, Result, format_table
+from rig_sim.results.result import PALE, STABLE, UNIT, Result
 from rig_sim.scenes.model import Scene
 from stickslip.errors import check_known
 
@@ -35,9 +35,6 @@ class Cycle(Result, limit_cycle.Orbit):
         **dict.fromkeys(("v_min", "v_max"), "m/s"),
     }
     SIZE = (6.4, 4.6)
-
-    def lines(self) -> list[str]:
-        return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
         import numpy as np
@@ -71,9 +68,6 @@ class FixedPoint(Result, fixed.FixedPoint):
     UNITS: ClassVar["Mapping[str, str]"] = {"x": "m", "eigenvalues": "1/s"}
     SIZE = (5.4, 4.6)
 
-    def lines(self) -> list[str]:
-        return format_table(self.as_json())
-
     def draw(self, ax: "Axes") -> None:
         ax.axvline(0.0, color=PALE, lw=0.8)
         ax.plot([root.real for root in self.eigenvalues], [root.imag for root in self.eigenvalues], "o", color=STABLE)
@@ -87,7 +81,6 @@ class TwoMassFixedPoint(Result, fixed.TwoMassFixedPoint):
 
     UNITS: ClassVar["Mapping[str, str]"] = FixedPoint.UNITS
     SIZE = FixedPoint.SIZE
-    lines = FixedPoint.lines
     draw = FixedPoint.draw
 
 
@@ -97,9 +90,6 @@ class FloquetOrbit(Result, multipliers.FloquetOrbit):
 
     UNITS: ClassVar["Mapping[str, str]"] = {"period": "s", "x_min": "m", "x_max": "m"}
     SIZE = (5.4, 4.6)
-
-    def lines(self) -> list[str]:
-        return format_table(self.as_json())
 
     def draw(self, ax: "Axes") -> None:
         circle = [2.0 * math.pi * share / 360.0 for share in range(361)]

@@ -36,7 +36,7 @@ class Result:
 
     def lines(self) -> list[str]:
         """Return the lines that the command prints."""
-        raise NotImplementedError
+        return format_table(self.as_json())
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
         """Return the rows of the table."""

@@ -168,8 +168,7 @@ def sweep(
     1      0.165          2       2
     2      0.175          1       2
     """
-    if parse_whole(jobs, "--jobs") < 1:
-        raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
+    jobs = parse_whole(jobs, "--jobs", 1)
     check_known(section, SECTIONS, "section", "--section")
     is_custom = callable(scene)
     span = parse_range(over, of_scene=not is_custom)
