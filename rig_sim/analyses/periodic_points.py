@@ -71,12 +71,8 @@ def find_orbits_between(f: OnInterval, period: int, x: Array, iterate: Array) ->
         if any(period % n == 0 and abs(points[n - 1] - root) <= SAME * (f.hi - f.lo) for n in range(1, period)):
             continue
         first = int(np.argmin(points))
-        orbits.append(PeriodicPoint(tuple(np.roll(points, -first).tolist()), orbit_slope(f, points)))
+        orbits.append(PeriodicPoint(tuple(np.roll(points, -first).tolist()), float(np.prod(slope(f, points)))))
     return tuple(sorted(orbits, key=lambda point: point.points))
-
-
-def orbit_slope(f: OnInterval, orbit: Array) -> float:
-    return float(np.prod(slope(f, orbit)))
 
 
 def solve_return(f: OnInterval, period: int, first: float, last: float) -> float | None:

@@ -33,11 +33,14 @@ class Locking:
 
     # as of `Lock`; or 'no orbit', 'no budget', 'regular motion', 'step limit' (the map raised `StepLimitError`)
     outcome: str
-    advice: str
     # of the period, the least unstable first: the motion is locked onto that one
     orbits: tuple[UnstableOrbit, ...]
     regular: int | None  # period of the stable orbit that the motion itself settles on
     lock: Lock | None  # the motion under control
+
+    @property
+    def advice(self) -> str:
+        return ADVICE.get(self.outcome, "")
 
 
 def find_and_lock(
@@ -53,18 +56,18 @@ def find_and_lock(
     try:
         states = follow_states(f, start, progress)
         if len(states) <= period:
-            return make_locking("no orbit", (), None, None)
+            return Locking("no orbit", (), None, None)
         regular = find_period(difference(f, states, states[-1]), REGULAR)
         orbits = tuple(find_orbits_in_motion(f, states, period, progress))
         if not orbits:
-            return make_locking("no orbit" if regular is None else "regular motion", (), regular, None)
+            return Locking("no orbit" if regular is None else "regular motion", (), regular, None)
         if budget == 0.0 and orbits[0].unstable_directions > 0:
-            return make_locking("no budget", orbits, regular, None)
+            return Locking("no budget", orbits, regular, None)
         attempt = lock(f, orbits[0], start, budget, events, progress)
     except StepLimitError:
-        return make_locking("step limit", orbits, regular, None)
+        return Locking("step limit", orbits, regular, None)
     outcome = "regular motion" if attempt.outcome == "not locked" and regular is not None else attempt.outcome
-    return make_locking(outcome, orbits, regular, attempt)
+    return Locking(outcome, orbits, regular, attempt)
 
 
 def follow_states(f: Controlled, start: Array, progress: Stages) -> Array:
@@ -75,7 +78,3 @@ def follow_states(f: Controlled, start: Array, progress: Stages) -> Array:
         if len(pieces[-1]) < end - begin:
             break
     return np.concatenate(pieces[1:])[TRANSIENT:]
-
-
-def make_locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, control: Lock | None) -> Locking:
-    return Locking(outcome, ADVICE.get(outcome, ""), orbits, regular, control)

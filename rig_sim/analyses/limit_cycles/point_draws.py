@@ -7,7 +7,7 @@ by bisection.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rig_sim.analyses.limit_cycles.branches import FlowAt
@@ -39,7 +39,9 @@ class MovingPoint:
 
     def __init__(self, point: SpecialPoint, flow_at: FlowAt, values: Array) -> None:
         self.values = sorted(values.tolist())
-        self.holds = _is_stable if point.kind in STABILITY else has_stick_slip_orbit
+        self.holds: Callable[[Flow], bool] = has_stick_slip_orbit
+        if point.kind in STABILITY:
+            self.holds = lambda flow: bool(fixed_point(flow).stable)
         self.fitted_value = min(max(point.value, self.values[0]), self.values[-1])
         below = max(value for value in self.values[:-1] if value <= point.value or value == self.values[0])
         self.before = self.holds(flow_at(below))
@@ -77,7 +79,3 @@ def estimate_interval(values: Sequence[float], alpha: float = 0.05) -> PointInte
     if not ordered:
         return PointInterval(None, None, 0, 0, 0)
     return PointInterval(quantile(alpha / 2), quantile(1 - alpha / 2), len(ordered) - below - above, below, above)
-
-
-def _is_stable(flow: Flow) -> bool:
-    return bool(fixed_point(flow).stable)

@@ -104,14 +104,10 @@ def compute_dither() -> Quench:
     return quench(flow_at(FAST[1], FAST[0]), 0.0, 0.0)
 
 
-def drive_changes(setting: tuple[float, float]) -> tuple[tuple[str, float], ...]:
-    return ("drive.u0", setting[0]), ("drive.omega", setting[1])
-
-
 def draw_quenched(of_velocity: bool) -> Computed:
     traces: list[Trace] = []
     for setting, name in ((SLOW, "unquenched"), (FAST, "quenched")):
-        t, x, v, _ = play_motion("forced", 120.0, 50.0, drive_changes(setting))
+        t, x, v, _ = play_motion("forced", 120.0, 50.0, (("drive.u0", setting[0]), ("drive.omega", setting[1])))
         label = f"{name}: u0 = {setting[0]}, omega = {setting[1]}"
         traces.append(Trace(t, v if of_velocity else x, label, "line" if traces else "thin", len(traces)))
     result = compute_dither()
