@@ -33,26 +33,6 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = [
-    "FormulaMap",
-    "__version__",
-    "basins",
-    "compare",
-    "continue_",
-    "cycle",
-    "events",
-    "fixed_point",
-    "floquet",
-    "lock",
-    "lyapunov",
-    "map",
-    "quench",
-    "run",
-    "scene",
-    "shaker",
-    "sweep",
-]
-
 _NAMES = {
     "rig_sim.systems.formula": ("FormulaMap",),
     "rig_sim.results.branches": ("continue_",),
@@ -67,4 +47,5 @@ _NAMES = {
     "rig_sim.scenes.scene": ("scene",),
 }
 HOMES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = ["__version__", *HOMES]
 __getattr__, __dir__ = lazy_names(__name__, HOMES)
