@@ -25,8 +25,6 @@ NOWHERE = -1  # index for cells without an attractor
 
 @dataclass(frozen=True)
 class Attractor:
-    """An attractor of a map of an interval."""
-
     # one period in the order of the orbit, from the smallest; or `POINTS` iterates where it is not periodic
     points: tuple[float, ...]
     # None for a chaotic one, or a period above `LONGEST_PERIOD`

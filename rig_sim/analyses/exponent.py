@@ -22,8 +22,6 @@ BLOCKS = 20  # of the orbit, whose means give the standard error, to 16 % with 2
 
 @dataclass(frozen=True)
 class Exponent:
-    """A Lyapunov exponent."""
-
     exponent: float  # per passage; exact on a periodic orbit
     stderr: float  # by the means of `BLOCKS` blocks; 0 on a periodic orbit
     events: int  # number of passages in the mean

@@ -55,7 +55,6 @@ def refuse_search_plot(values: dict[str, Any]) -> Iterator[None]:
 
 @contextmanager
 def refuse_empty_request(values: dict[str, Any]) -> Iterator[None]:
-    """Refuse a map of which nothing is requested."""
     if values.get("d") is None and not values.get("periodic") and values.get("plot") is None:
         raise InputError("nothing to do", "--d", "give --d, --periodic or --plot")
     yield

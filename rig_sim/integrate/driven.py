@@ -43,7 +43,6 @@ class DrivenRamp(NamedTuple):
 
 
 def driven_ramp(fr: Frame, p: float, w: float, t: float) -> DrivenRamp:
-    """Return the driven ramp that starts in the state (p, w) at time t."""
     C, _ = linear_terms(fr, RAMP)
     zeta = 0.5 * C / fr.m
     a = acceleration(fr, RAMP, p, w, t)

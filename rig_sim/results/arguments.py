@@ -71,7 +71,6 @@ class ParameterRange:
     uneven: tuple[float, ...] = ()  # the values, where they are not even
 
     def values(self) -> "Array":
-        """Return the values, shape (number,)."""
         import numpy as np
 
         return np.array(self.uneven) if self.uneven else np.linspace(self.start, self.stop, self.number)

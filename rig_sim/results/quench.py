@@ -81,7 +81,6 @@ class Quench(Result, dither.Quench):
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0)
 
     def draw_swing(self, ax: "Axes") -> None:
-        """Draw the swing over the amplitude."""
         if self.threshold > 0.0:
             amplitudes = self.threshold * np.linspace(*RATIOS)
             flows = [self.flow._replace(u0=u0) for u0 in amplitudes.tolist()]

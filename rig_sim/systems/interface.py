@@ -67,9 +67,7 @@ class Motion(Protocol):
     """A motion from one start, advanced by every call."""
 
     @property
-    def system(self) -> "ReturnMap":
-        """The system that moves."""
-        ...
+    def system(self) -> "ReturnMap": ...
 
     def follow(self, number: int, *, tangent: bool = False) -> Passages:
         """Return the next ``number`` passages; fewer where the motion ends.  ``tangent``: with their growth."""

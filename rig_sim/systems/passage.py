@@ -34,8 +34,6 @@ COLUMNS = 5
 
 @dataclass(slots=True)
 class DrivenState:
-    """State of a driven motion between two calls."""
-
     mode: float  # in the frame
     p: float  # displacement, m
     w: float  # relative velocity, m/s

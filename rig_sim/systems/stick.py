@@ -130,8 +130,6 @@ def apply_map(
 
 @dataclass(frozen=True)
 class StickEvent:
-    """An event of two masses, from a global stick to the next."""
-
     d: float  # x2 - x1 in the global stick that follows, m; NaN without one
     word: str  # which mass broke away, in order
     duration: float  # from the first break-away to the next global stick, s
@@ -204,7 +202,6 @@ class StickMap:
     def _follow(
         self, starts: Array, times: int, *, compiled: bool, chained: int = 0
     ) -> tuple[Array, Array, Array, str]:
-        """Return f, durations, outcomes and the last word."""
         fr = self._frame
         work = self._work if compiled else new_pair(INTERPRETED_STEPS)
         starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)

@@ -93,8 +93,6 @@ def lock(
 
 @dataclass(frozen=True)
 class UnstableMode:
-    """The unstable direction of an orbit."""
-
     left: Array  # (p, d) left eigenvectors
     factor: Array  # (p,) lambda
     response: Array  # (p,) b

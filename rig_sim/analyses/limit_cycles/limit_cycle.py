@@ -25,8 +25,6 @@ NEARLY_CLOSED = 8
 
 
 class HasFlow(Protocol):
-    """A scene, or anything else with a flow."""
-
     def flow(self) -> Flow: ...
 
 

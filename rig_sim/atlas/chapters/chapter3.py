@@ -97,7 +97,6 @@ def draw_displacement() -> Computed:
 
 
 def find_sticks(run: EstimatedRun) -> tuple[Integers, Integers]:
-    """Return the indices of the starts and ends of full sticks."""
     starts = np.flatnonzero(run.stick[1:] & ~run.stick[:-1]) + 1
     ends = np.flatnonzero(~run.stick[1:] & run.stick[:-1])
     return starts, ends[ends > starts[0]]

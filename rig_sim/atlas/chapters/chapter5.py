@@ -54,7 +54,6 @@ def find_special_points() -> dict[str, float]:
 
 
 def find_special_damping(kind: str) -> float:
-    """Return the damping of a special point: 'hopf' or 'fold'."""
     return find_special_points()[kind]
 
 
