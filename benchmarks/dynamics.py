@@ -31,7 +31,7 @@ import numpy as np
 from rig_sim.analyses.sweep import sweep
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
-from rig_sim.results.systems import SweptScene, find_two_mass_attractors
+from rig_sim.results.scene_systems import SweptScene, find_two_mass_attractors
 from rig_sim.scenes.scene import scene
 from rig_sim.systems.stick import COARSE, EXACT, FINE, StickMap
 from stickslip.compute.workers import workers

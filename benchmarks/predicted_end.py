@@ -17,7 +17,7 @@ from typing import Any
 import rig_sim
 from rig_sim.results.arguments import parse_range
 from rig_sim.results.branches import find_point_intervals
-from rig_sim.results.systems import SweptScene
+from rig_sim.results.scene_systems import SweptScene
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
 

@@ -11,7 +11,7 @@ from rig_sim.analyses.map_branches import map_continuation
 from rig_sim.analyses.special_points import SpecialPoint
 from rig_sim.results.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole
 from rig_sim.results.result import PALE, STABLE, UNIT, UNSTABLE, Result
-from rig_sim.results.systems import SweptScene, make_stick_map, require_interval
+from rig_sim.results.scene_systems import SweptScene, make_stick_map, require_interval
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.systems.formula import FormulaMap
 from rig_sim.systems.interface import StepBudget

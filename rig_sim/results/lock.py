@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from rig_sim.analyses.control.search_and_lock import search_and_lock
 from rig_sim.analyses.unstable_orbits import UnstableOrbit
 from rig_sim.results.arguments import SceneLike, check_size, load_scene, parse_plain_number, parse_whole
 from rig_sim.results.result import PALE, STABLE, UNIT, UNSTABLE, Result
-from rig_sim.results.systems import make_landing_map
+from rig_sim.results.scene_systems import make_landing_map
 from rig_sim.systems.formula import FormulaMap
 from rig_sim.systems.interface import StepBudget, StepLimitError
 from rig_sim.systems.landing import LandingMap
@@ -228,29 +229,22 @@ def lock(
     orbit_period = parse_whole(period, "--period", 1, MOST_PERIOD, " landings")
     max_events = parse_whole(events, "--events", 1, MOST_EVENTS)
     check_known(method, METHODS, "method", "--method")
-    fields, f, control, name = lock_motion(scene, orbit_period, size, method, max_events, progress)
-    return Lock(method, orbit_period, size, size * f.strength, **fields, name=name, system=f, control=control)
-
-
-def lock_motion(
-    scene: SceneLike | FormulaMap, period: int, budget: float, method: str, events: int, progress: Stages
-) -> tuple[dict[str, Any], FormulaMap, ogy.Lock | None, str]:
-    """Return the fields of a lock, the map, the motion under control, and the system's name."""
     f: FormulaMap
+    outcome = "completed"
     if isinstance(scene, FormulaMap):
         f, start, name = scene, scene.start, type(scene).__name__
     else:
         loaded = load_scene(scene)
-        f = landings = make_landing_map(loaded, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+        f = landings = make_landing_map(loaded, StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * max_events)))
         first = landings.first_landing(float(loaded.start.x), float(loaded.start.v))
-        start, name = first.state, loaded.name
-        if first.outcome != "completed":
-            advice = "the motion does not reach a stick: change the drive or the belt"
-            return {"outcome": first.outcome, "advice": advice}, f, None, name
+        start, name, outcome = first.state, loaded.name, first.outcome
+    result = partial(Lock, method, orbit_period, size, size * f.strength, name=name, system=f)
+    if outcome != "completed":
+        return result(outcome=outcome, advice="the motion does not reach a stick: change the drive or the belt")
     if method == "search":
-        return search_orbit(f, start, period, budget, progress), f, None, name
-    locking = find_and_lock(f, start, period, budget, events, progress)
-    return collect_fields(f, locking), f, locking.lock, name
+        return result(**search_orbit(f, start, orbit_period, size, progress))
+    locking = find_and_lock(f, start, orbit_period, size, max_events, progress)
+    return result(**collect_fields(f, locking), control=locking.lock)
 
 
 def collect_fields(f: FormulaMap, locking: Locking) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from rig_sim.analyses.periodic_points import PeriodicPoint, find_periodic_orbits
 from rig_sim.motion.two_masses import find_stretch
 from rig_sim.results.arguments import SceneLike, load_scene, parse_whole
 from rig_sim.results.result import COLOURS, PALE, STABLE, UNIT, Result
-from rig_sim.results.systems import make_driven_map, make_stick_map, require_interval
+from rig_sim.results.scene_systems import make_driven_map, make_stick_map, require_interval
 from rig_sim.scenes.model import Scene
 from rig_sim.systems import stick
 from rig_sim.systems.formula import FormulaMap
@@ -273,13 +273,11 @@ def map(
     1  0.10  0.123401  21 21
     """
     count = parse_whole(iterate, "--iterate", 1)
-    is_formula = isinstance(scene, FormulaMap)
-    name = type(scene).__name__ if isinstance(scene, FormulaMap) else load_scene(scene).name
-    f: Any = require_interval(scene) if isinstance(scene, FormulaMap) else make_stick_map(load_scene(scene))
+    f, name = load_interval_map(scene)
     several = not (d is None or isinstance(d, int | float))
     starts = parse_places(d)
     chains = [
-        map_place(f, d_start, count) if is_formula else follow_events(f, d_start, count, len(starts))
+        follow_events(f, d_start, count, len(starts)) if isinstance(f, StickMap) else map_place(f, d_start, count)
         for d_start in starts
     ]
     orbits = None
@@ -351,14 +349,16 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     ([2, 2], True)
     """
     number = parse_whole(cells, "--cells", 2, MOST_CELLS)
-    name = type(scene).__name__ if isinstance(scene, FormulaMap) else load_scene(scene).name
-    f: Any = require_interval(scene) if isinstance(scene, FormulaMap) else make_stick_map_for(load_scene(scene), number)
+    f, name = load_interval_map(scene, number)
     return Basins(**vars(cell_mapping.basins(f, number, progress)), name=name)
 
 
-def make_stick_map_for(scene: Scene, events: int) -> StickMap:
-    """Return the map of two masses with the default integrator steps or, if more, those for ``events``."""
-    return make_stick_map(scene, StepBudget(max(stick.STEPS_IN_ALL, STEPS_PER_EVENT * events)))
+def load_interval_map(scene: SceneLike | FormulaMap, events: int = 0) -> tuple[StickMap | FormulaMap, str]:
+    """Return a map of an interval with its name; of two masses with integrator steps for so many events, or more."""
+    if isinstance(scene, FormulaMap):
+        return require_interval(scene), type(scene).__name__
+    loaded = load_scene(scene)
+    return make_stick_map(loaded, StepBudget(max(stick.STEPS_IN_ALL, STEPS_PER_EVENT * events))), loaded.name
 
 
 def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: Stages = silent) -> Exponent:
@@ -401,12 +401,12 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     loaded = load_scene(scene)
     if loaded.coupling is None:
         return _driven_lyapunov(loaded, number, progress)
-    f, start = make_stick_map_for(loaded, number), find_stretch(loaded)
+    (f, name), start = load_interval_map(loaded, number), find_stretch(loaded)
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
     result = exponent(f.motion(np.array([start])), number, progress)
     advice = "the motion stops sticking; list its events instead"
-    return Exponent(**vars(result), per="event", name=loaded.name, advice=advice)
+    return Exponent(**vars(result), per="event", name=name, advice=advice)
 
 
 def _driven_lyapunov(loaded: Scene, events: int, progress: Stages) -> Exponent:

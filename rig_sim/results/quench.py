@@ -20,7 +20,7 @@ from rig_sim.analyses.settling import settle
 from rig_sim.flow.flow import Flow
 from rig_sim.results.arguments import SceneLike, load_scene
 from rig_sim.results.result import PALE, UNIT, Result
-from rig_sim.results.systems import require_period
+from rig_sim.results.scene_systems import require_period
 from rig_sim.systems.driven import DrivenMap
 from rig_sim.systems.interface import StepBudget
 from stickslip.compute.stages import Stages, silent

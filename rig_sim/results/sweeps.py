@@ -18,7 +18,7 @@ from rig_sim.analyses.sweep import AttractorAt
 from rig_sim.results.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole
 from rig_sim.results.result import COLOURS, UNIT, Result
 from rig_sim.results.resume import ResumeFile, open_resume_file
-from rig_sim.results.systems import (
+from rig_sim.results.scene_systems import (
     SweptScene,
     find_custom_attractors,
     find_driven_attractors,
