@@ -47,5 +47,5 @@ _NAMES = {
     "rig_sim.scenes.scene": ("scene",),
 }
 HOMES = {name: module for module, names in _NAMES.items() for name in names}
-__all__ = ["__version__", *HOMES]
+__all__ = sorted(["__version__", *HOMES])
 __getattr__, __dir__ = lazy_names(__name__, HOMES)
