@@ -4,7 +4,7 @@
 time per event and error against the exact map, on the thesis's two masses at V = 0.1 with starts all over the interval
 of d, of
 
-    exact, fine, coarse     rig_sim.dynamics.return_maps.stick, compiled
+    exact, fine, coarse     rig_sim.systems.stick, compiled
     scipy                   oracles.two_masses: DOP853 between located events, rtol 1e-6
     pynamicalsys            RK45 of the equations with sign(w) replaced by tanh(w/width), compiled by numba
 
@@ -28,12 +28,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rig_sim.dynamics.analyses.sweep import sweep
-from rig_sim.dynamics.return_maps.stick import COARSE, EXACT, FINE, StickMap
+from rig_sim.analyses.sweep import sweep
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
-from rig_sim.functions.systems import SweptScene, TwoMassAttractors
+from rig_sim.results.scene_systems import SweptScene, find_two_mass_attractors
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.stick import COARSE, EXACT, FINE, StickMap
 from stickslip.compute.workers import workers
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -95,7 +95,7 @@ def map_speed(events):
 
 def sweep_speed():
     """Print and return the times of the diagram by who computes it."""
-    find = TwoMassAttractors(SweptScene(scene("two-mass"), "belt.speed"), "poincare")
+    find = partial(find_two_mass_attractors, SweptScene(scene("two-mass"), "belt.speed"), "poincare")
     ways = {"one process": (1, False), "two processes": (2, False), "two dask workers": (1, True)}
     if find_spec("distributed") is None:
         print("dask.distributed is not installed: pip install 'stickslip[cluster]'")

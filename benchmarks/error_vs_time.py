@@ -83,7 +83,7 @@ REPEATS, SLOW_S = 5, 1.0  # a peer that takes longer is timed once
 
 def ratios(found: Comparison) -> dict[str, float]:
     """Return the ratios of CPU time and of error between DOP853 at its smallest tolerance and the exact method."""
-    rows = {(row.method, row.setting): row for row in found.rows}
+    rows = {(row.method, row.setting): row for row in found.results}
     peer, machine = rows[TIGHTEST], rows["exact", "compiled"]
     answer = {
         "compiled": peer.cpu_s / machine.cpu_s,
@@ -124,7 +124,7 @@ def tables(compared: dict[str, Comparison]) -> dict[str, dict[str, list[str]]]:
     """Return the rows of the tables of the page, by table and first cell; of a peer that was not timed none."""
     found: dict[str, dict[str, list[str]]] = {}
     for name, comparison in compared.items():
-        rows = {(row.method, row.setting): row for row in comparison.rows}
+        rows = {(row.method, row.setting): row for row in comparison.results}
         compiled, plain, tight = rows["exact", "compiled"], rows["exact", "interpreted"], rows[TIGHTEST]
         own = f"{compiled.error:.1e}"
         if ("pathsim", f"tol {PATHSIM[-1]:g}") in rows:
@@ -139,7 +139,7 @@ def tables(compared: dict[str, Comparison]) -> dict[str, dict[str, list[str]]]:
                 cells = [own, error_text(row), over(row, compiled)]
                 found.setdefault("error_vs_time heyoka", {})[name] = cells
     if "error_vs_time scenes" in found:
-        rows = {(row.method, row.setting): row for row in compared["law 5"].rows}
+        rows = {(row.method, row.setting): row for row in compared["law 5"].results}
         found["error_vs_time methods"] = {
             named: [error_text(rows[key]), over(rows[key], rows["exact", "compiled"])] for key, named in ROWS.items()
         }
@@ -156,15 +156,15 @@ def main(until: float, write: bool) -> None:
         played = scene("base", **changes)
         found = compare(played, until)
         rows = [by_peer(*key, peer, played, until, found.cycles) for key, peer in others.items()]
-        found = compared[name] = replace(found, rows=(*found.rows, *rows))
+        found = compared[name] = replace(found, results=(*found.results, *rows))
         collected[name] = {"until": until, "ratios": ratios(found), **asdict(found)}
         print(f"\n{name}, {until:g} time units, {found.cycles} cycles; reference: {found.reference}")
-        for row in found.rows:
+        for row in found.results:
             error = row.note if row.error is None else f"{row.error:.1e}"
             print(f"  {row.method:10} {row.setting:14} {error:>10} {row.us_per_cycle or 0:12.1f} us per cycle")
         print("  DOP853 at rtol 2.3e-14 over exact: " + ", ".join(f"{k} {v:.3g}" for k, v in ratios(found).items()))
         for method, mark in MARKS.items():
-            mine = [row for row in found.rows if row.method == method and row.error]
+            mine = [row for row in found.results if row.method == method and row.error]
             axis.loglog([row.us_per_cycle for row in mine], [row.error for row in mine], mark + ":", label=method)
         axis.set_title(name)
         axis.grid(alpha=0.3)

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import rig_sim
-from rig_sim.functions.arguments import parse_range
-from rig_sim.functions.branches import find_point_intervals
-from rig_sim.functions.systems import SweptScene
+from rig_sim.results.arguments import parse_range
+from rig_sim.results.branches import find_point_intervals
+from rig_sim.results.scene_systems import SweptScene
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
 

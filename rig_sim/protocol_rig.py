@@ -138,25 +138,8 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
 
     def _update_dtr_state(self) -> None: ...
 
-    @property
-    def cts(self) -> bool:
-        """Clear to send: always."""
-        return True
-
-    @property
-    def dsr(self) -> bool:
-        """Data set ready: always."""
-        return True
-
-    @property
-    def ri(self) -> bool:
-        """Ring indicator: never."""
-        return False
-
-    @property
-    def cd(self) -> bool:
-        """Carrier detect: always."""
-        return True
+    cts = dsr = property(lambda self: True)  # clear to send, data set ready
+    ri = cd = property(lambda self: False)  # ring indicator, carrier detect
 
 
 def parse_url(url: str) -> tuple[str, list[str], bool]:

@@ -16,7 +16,7 @@ MOST_CHANGES = 50  # landings and break-aways of an event, after which no global
 def next_stick(flow: TwoMassFlow, d: float, *, rtol: float = 1e-12) -> tuple[float, str, float]:
     """Return (d, word, duration) of the event that follows a global stick of stretch ``d`` (m).
 
-    As `rig_sim.dynamics.return_maps.stick.StickMap.event`: NaN where no global stick follows within `LONGEST` or
+    As `rig_sim.systems.stick.StickMap.event`: NaN where no global stick follows within `LONGEST` or
     `MOST_CHANGES`.
     """
     mass = flow.mass

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from stickslip.compute.arrays import Array
@@ -83,18 +84,19 @@ class Computed:
 class Drawing:
     """A figure for `rig-sim atlas`."""
 
+    number: str  # in the thesis
+    title: str  # its subject
     sentence: str  # its description
     panels: tuple[Panel, ...]  # filled into rows of ``columns`` panels
-    # empty where the thesis has no computable statement about the figure
-    table: tuple[StatementCheck, ...] = ()
-    columns: int = 1
-    choices: str = ""  # parameters that the thesis does not state
+    table: tuple[StatementCheck, ...]  # empty where the thesis has no computable statement about the figure
+    columns: int
+    choices: str  # parameters that the thesis does not state
+    file: Path = Path()  # its picture, where it has been drawn
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A figure of the thesis: its number, its subject, and the function that recomputes it."""
+    """A figure of the thesis, and the function that recomputes it."""
 
     number: str
-    title: str
     draw: Callable[[], Drawing]

@@ -14,7 +14,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from rig_sim.atlas.figure import Drawing, Entry, Panel, Trace
+from rig_sim.atlas.figure import Drawing, Panel, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 
 
-def render_picture(entry: Entry, drawing: Drawing) -> bytes:
+def render_picture(drawing: Drawing) -> bytes:
     """Return a figure as PNG: its number and subject above, its panels, and its sentence below."""
     with mpl.rc_context(fname=STYLE):
         rows = -(-len(drawing.panels) // drawing.columns)
@@ -48,7 +48,9 @@ def render_picture(entry: Entry, drawing: Drawing) -> bytes:
         height = (ALONE if len(drawing.panels) == 1 else rows * HEIGHT[drawing.columns]) + above + below
         inside = (0.0, below / height, 0.985, 1.0 - (above + below) / height)
         figure = Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(rect=inside))
-        figure.text(0.012, 1.0 - 0.1 / height, f"Thesis figure {entry.number}: {entry.title}", va="top", weight="bold")
+        figure.text(
+            0.012, 1.0 - 0.1 / height, f"Thesis figure {drawing.number}: {drawing.title}", va="top", weight="bold"
+        )
         figure.text(0.012, 0.07 / height, "\n".join(words), va="bottom", color="#333333", fontsize=8.5)
         legend_names: set[str] = set()  # names in the legends so far
         for index, panel in enumerate(drawing.panels, 1):

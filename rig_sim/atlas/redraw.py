@@ -1,10 +1,10 @@
 """Redraw figures into a folder: a PNG each, and ``atlas.md``, which shows them with their tables."""
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from rig_sim.atlas.figure import Drawing, Entry, StatementCheck
+from rig_sim.atlas.figure import Drawing, StatementCheck
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
 from stickslip.errors import InputError, nearest
 from stickslip.output import atomic
@@ -16,15 +16,6 @@ The figures of the thesis whose rig, laws and analyses this project implements, 
 table sets what the thesis states beside what is computed; most of its numbers were read off a plot, so that one unit of
 the last digit counts as agreement.  Quantities are dimensionless (m = k = Fs = 1) unless an axis names a unit.
 """
-
-
-@dataclass(frozen=True)
-class Redrawn:
-    """A figure with its drawing and its file."""
-
-    entry: Entry
-    drawing: Drawing
-    file: Path
 
 
 def select_figures(requested: Iterable[str] | None) -> list[str]:
@@ -50,7 +41,7 @@ def redraw(
     *,
     force: bool = False,
     progress: Callable[[float], None] = lambda redrawn: None,
-) -> list[Redrawn]:
+) -> list[Drawing]:
     """Redraw figures into a folder, as ``figure-2.7.png`` ... and ``atlas.md``; the folder is made if missing.
 
     The page lists ``numbers`` that are not redrawn with the reason.  ``force`` replaces files that exist; ``progress``
@@ -68,28 +59,25 @@ def redraw(
     from rig_sim.atlas.plot import render_picture
 
     folder.mkdir(exist_ok=True)
-    redrawn: list[Redrawn] = []
+    redrawn: list[Drawing] = []
     for number, file in files.items():
-        entry = ENTRIES[number]
-        drawing = entry.draw()
+        drawing = replace(ENTRIES[number].draw(), file=file)
         with atomic.replacing(file, force) as temporary:
-            temporary.write_bytes(render_picture(entry, drawing))
-        redrawn.append(Redrawn(entry, drawing, file))
+            temporary.write_bytes(render_picture(drawing))
+        redrawn.append(drawing)
         progress(len(redrawn))
     missing = {number: NOT_REDRAWN[number] for number in numbers if number in NOT_REDRAWN}
     with atomic.replacing(folder / PAGE, force) as temporary:
-        page_entries = [(each.entry, each.drawing, each.file.name) for each in redrawn]
-        temporary.write_text(format_page(page_entries, missing), encoding="utf-8")
+        temporary.write_text(format_page(redrawn, missing), encoding="utf-8")
     return redrawn
 
 
-def format_page(drawn: Iterable[tuple[Entry, Drawing, str]], not_redrawn: Mapping[str, str]) -> str:
-    """Return the page of figures, each with the name of its picture, and of the reasons why others are not redrawn."""
-    drawn = list(drawn)
+def format_page(drawn: Sequence[Drawing], not_redrawn: Mapping[str, str]) -> str:
+    """Return the page of figures with their pictures, and of the reasons why others are not redrawn."""
     parts = [HEAD, format_differences(drawn)]
-    for entry, drawing, picture in drawn:
-        parts += [f"## Figure {entry.number}: {entry.title}\n", f"![Figure {entry.number}]({picture})\n"]
-        parts.append(drawing.sentence + "\n")
+    for drawing in drawn:
+        parts.append(f"## Figure {drawing.number}: {drawing.title}\n")
+        parts += [f"![Figure {drawing.number}]({drawing.file.name})\n", drawing.sentence + "\n"]
         if drawing.choices:
             parts.append(f"Chosen here, as the thesis does not state it: {drawing.choices}\n")
         if drawing.table:
@@ -100,13 +88,13 @@ def format_page(drawn: Iterable[tuple[Entry, Drawing, str]], not_redrawn: Mappin
     return "\n".join(part for part in parts if part)
 
 
-def format_differences(drawn: Iterable[tuple[Entry, Drawing, str]]) -> str:
-    rows = [(entry, row) for entry, drawing, _ in drawn for row in drawing.table if not row.agrees]
+def format_differences(drawn: Sequence[Drawing]) -> str:
+    rows = [(drawing.number, row) for drawing in drawn for row in drawing.table if not row.agrees]
     if not rows:
         return ""
     lines = ["## Where the thesis and the computation differ\n", "| figure | quantity | thesis says | computed |"]
     lines.append("| --- | --- | --- | --- |")
-    lines += [f"| {entry.number} | {row.quantity} | {row.thesis} | {row.computed} |" for entry, row in rows]
+    lines += [f"| {number} | {row.quantity} | {row.thesis} | {row.computed} |" for number, row in rows]
     return "\n".join(lines) + "\n"
 
 

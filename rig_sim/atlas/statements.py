@@ -44,11 +44,7 @@ def read_entries(file: str, figures: Mapping[str, Callable[[], Computed]]) -> tu
     tables = read_tables(file)
     words = tables.get(WORDS, {})
     return tuple(
-        Entry(
-            number,
-            tables[number]["title"],
-            partial(compute_drawing, f"figure {number} in {file}", tables[number], words, compute),
-        )
+        Entry(number, partial(compute_drawing, f"figure {number} in {file}", tables[number], words, compute, number))
         for number, compute in figures.items()
     )
 
@@ -73,7 +69,7 @@ def join_lines(value: Any) -> Any:
 
 
 def compute_drawing(
-    where: str, figure: Mapping[str, Any], words: Mapping[str, str], compute: Callable[[], Computed]
+    where: str, figure: Mapping[str, Any], words: Mapping[str, str], compute: Callable[[], Computed], number: str = ""
 ) -> Drawing:
     computed = compute()
     numbers = {**words, **computed.numbers}
@@ -83,7 +79,7 @@ def compute_drawing(
     except KeyError as error:
         name = str(error.args[0])
         raise InputError(f"no number {name!r} is computed", where, nearest(name, list(numbers))) from None
-    return Drawing(sentence, computed.panels, table, computed.columns, choices)
+    return Drawing(number, figure["title"], sentence, computed.panels, table, computed.columns, choices)
 
 
 def format_text(text: str, numbers: Mapping[str, Any]) -> str:

@@ -39,7 +39,7 @@ def count_finished(values: dict[str, Any]) -> Iterator[None]:
         path = values.get("resume")
         number = path.read_bytes().count(b"\n") - 1 if path is not None and path.is_file() else 0
         if number > 0:
-            from rig_sim.functions.arguments import parse_range
+            from rig_sim.results.arguments import parse_range
 
             total = parse_range(values["over"]).number
             application.note(f"{number} of {total} values are in {path}: the same command continues there")
@@ -55,7 +55,6 @@ def refuse_search_plot(values: dict[str, Any]) -> Iterator[None]:
 
 @contextmanager
 def refuse_empty_request(values: dict[str, Any]) -> Iterator[None]:
-    """Refuse a map of which nothing is requested."""
     if values.get("d") is None and not values.get("periodic") and values.get("plot") is None:
         raise InputError("nothing to do", "--d", "give --d, --periodic or --plot")
     yield

@@ -39,12 +39,12 @@ def atlas(
         "page": output / PAGE,
         "figures": [
             {
-                "figure": each.entry.number,
-                "title": each.entry.title,
-                "sentence": each.drawing.sentence,
-                "choices": each.drawing.choices,
+                "figure": each.number,
+                "title": each.title,
+                "sentence": each.sentence,
+                "choices": each.choices,
                 "file": each.file,
-                "table": [asdict(row) for row in each.drawing.table],
+                "table": [asdict(row) for row in each.table],
             }
             for each in done
         ],
@@ -52,8 +52,8 @@ def atlas(
     }
     lines = []
     for each in done:
-        differing = [row for row in each.drawing.table if not row.agrees]
-        lines.append(f"{each.entry.number:5} {each.entry.title}: {each.file}")
+        differing = [row for row in each.table if not row.agrees]
+        lines.append(f"{each.number:5} {each.title}: {each.file}")
         lines += [
             f"      {row.quantity}: thesis {row.thesis}, computed {row.computed} ({row.why})" for row in differing
         ]

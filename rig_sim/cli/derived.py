@@ -9,16 +9,19 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
 
 from rig_sim import HOMES
-from rig_sim.cli.answer import load_changed, make_answer
 from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json, SetChanges
 from stickslip.console.flags import Force, Plot, check_plot
 from stickslip.errors import InputError
+
+if TYPE_CHECKING:
+    from rig_sim.results.result import Result
+    from rig_sim.scenes.model import Scene
 
 ENTRY = re.compile(r"^(\w+) : .*\n((?:    .*\n?)+)", re.MULTILINE)  # of a section Parameters
 IN_PYTHON = re.compile(r" In Python .*?\.(?= |$)")  # a sentence that only Python needs
@@ -67,6 +70,27 @@ def derive(
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command
+
+
+def load_changed(name: str, changes: list[str] | None) -> "Scene":
+    from rig_sim.scenes.scene import parse_changes, scene
+
+    return scene(name, **parse_changes(changes))
+
+
+def make_answer(result: "Result", plot: Path | None, force: bool) -> Answer:
+    """Return a result as the command's answer; ``plot``: drawn into this file, which the answer names."""
+    data: dict[str, Any] = result.as_json()
+    lines = result.lines()
+    if plot is not None and (nothing := result.undrawn()):
+        lines = [*lines, f"nothing drawn: {nothing}"]
+    elif plot is not None:
+        from stickslip.output.plot import save
+
+        save(result.plot(), plot, force=force)
+        data["file"] = plot
+        lines = [*lines, str(plot)]
+    return Answer(data, "\n".join(lines))
 
 
 def read_definition(name: str) -> ast.FunctionDef:

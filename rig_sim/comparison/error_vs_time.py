@@ -7,7 +7,7 @@ several runs where one is short; compilation is reported separately.  The exact 
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -55,7 +55,7 @@ class MethodResult:
 class Comparison:
     """The rows, their reference, and the CPU time of compiling (s; of loading, when it was cached)."""
 
-    rows: tuple[MethodResult, ...]
+    results: tuple[MethodResult, ...] = field(repr=False)
     reference: str
     compile_s: float
     cycles: int

@@ -10,20 +10,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rig_sim.flow import modes
-from rig_sim.flow.contact_state import transition
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, curve_deficit, drive, frame, linear_terms, mirror_mode, position
 from rig_sim.integrate.driven import driven_stick_exit
 from rig_sim.integrate.linear import stick_exit
-from rig_sim.integrate.phases import (
-    RAPID_ALLOWED,
-    RAPID_TIME,
-    Samples,
-    State,
-    enter_frame,
-    leave_frame,
-    unmirrored_kind,
-)
+from rig_sim.integrate.phases import Samples, State, enter_frame, leave_frame, pass_edge, unmirrored_kind
 from rig_sim.integrate.work import Work
 
 Slopes = Callable[[float, float, float], tuple[float, float]]
@@ -99,14 +90,7 @@ def sample_phase(
         if result.end != modes.COMPLETED:
             kind = result.end
         elif result.side != 0:
-            entered = transition(fr, mode, result.side, p, t)
-            if entered >= modes.FORCE_REVERSAL:
-                kind = entered
-            else:
-                rapid = (t - phase_start) * fr.omega0 <= RAPID_TIME
-                work.rapid = work.rapid + 1.0 if rapid else 0.0
-                kind = modes.EVENT_RATE if work.rapid > RAPID_ALLOWED else 4 * mode + entered
-                mode = entered
+            kind, mode = pass_edge(fr, mode, result.side, p, t, phase_start, work)
         elif t >= t_max:
             work.rapid = 0.0
             kind = modes.COMPLETED

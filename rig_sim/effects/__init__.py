@@ -1,1 +1,1 @@
-"""What disturbs a rig, one effect per file; a file is imported only when the scene has the section of its name."""
+"""What changes the equation of motion of a rig: a belt that ripples, and a shaker."""

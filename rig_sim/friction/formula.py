@@ -22,7 +22,8 @@ import re
 import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from stickslip.errors import InputError, nearest
 
@@ -75,7 +76,8 @@ class Formula:
 
     text: str  # as written
     parameters: tuple[str, ...]  # every name but ``s``, in the order of first appearance
-    _steps: tuple[Operation, ...] = field(repr=False)
+    # in order of evaluation: each takes from a stack the values of earlier ones
+    steps: tuple[Operation, ...] = field(repr=False)
 
     @classmethod
     def parse(cls, text: str) -> "Formula":
@@ -87,15 +89,10 @@ class Formula:
         names = dict.fromkeys(step.name for step in steps if step.do == "name" and step.name != SPEED)
         return cls(text, tuple(names), tuple(steps))
 
-    @property
-    def steps(self) -> tuple[Operation, ...]:
-        """The operations in order of evaluation: each takes from a stack the values of earlier ones."""
-        return self._steps
-
     def renamed(self, names: Mapping[str, str]) -> "Formula":
         """Return the formula with other names for some of its parameters."""
         text = self.text
-        for step in sorted(self._steps, key=lambda step: -step.column):
+        for step in sorted(self.steps, key=lambda step: -step.column):
             if step.do == "name" and step.name in names:
                 text = text[: step.column] + names[step.name] + text[step.column + len(step.name) :]
         return Formula.parse(text)
@@ -152,14 +149,14 @@ class Formula:
 
         stack: list[int] = []
         results: list[tuple[Array, Slopes]] = []
-        for step in self._steps:
+        for step in self.steps:
             arguments = [results[stack.pop()] for _ in range(step.takes)][::-1]
             if step.do == "number":
                 results.append((np.asarray(step.number), {}))
             elif step.do == "name":
                 results.append((variables[step.name], {step.name: np.asarray(1.0)} if step.name in by else {}))
             else:
-                results.append(OPERATIONS[step.do](*arguments))
+                results.append(list_operations()[step.do](*arguments))
             stack.append(len(results) - 1)
         return results
 
@@ -194,12 +191,12 @@ class Formula:
         with np.errstate(all="ignore"):
             results = self._run_steps(variables, ())
         stack: list[int] = []
-        for i, step in enumerate(self._steps):
+        for i, step in enumerate(self.steps):
             arguments = [float(results[stack.pop()][0]) for _ in range(step.takes)][::-1]
             stack.append(i)
             if not math.isfinite(float(results[i][0])):
                 return explain_failure(step, arguments), step.column
-        return "overflow", self._steps[-1].column
+        return "overflow", self.steps[-1].column
 
 
 def explain_failure(step: Operation, arguments: list[float]) -> str:
@@ -380,7 +377,7 @@ class _Parser:
 Dual = tuple["Array", Slopes]  # a value and its derivatives
 
 
-def apply_chain_rule(value: "Array", *parts: "tuple[Array, Slopes]") -> Dual:
+def apply_chain_rule(value: "Array", *parts: tuple[Any, Slopes]) -> Dual:
     """Return the value with the sum of each factor times its derivatives."""
     total: Slopes = {}
     for factor, slopes in parts:
@@ -390,112 +387,64 @@ def apply_chain_rule(value: "Array", *parts: "tuple[Array, Slopes]") -> Dual:
     return value, total
 
 
-def _add(a: Dual, b: Dual) -> Dual:
-    return apply_chain_rule(a[0] + b[0], (1.0, a[1]), (1.0, b[1]))  # type: ignore[arg-type]
+def make_operation(value_of: Callable[..., "Array"], *slopes_of: Callable[..., Any]) -> Callable[..., Dual]:
+    """Return an operation of values and derivatives; ``slopes_of`` take the result and the values, one by each."""
+
+    def operate(*arguments: Dual) -> Dual:
+        values = [value for value, _ in arguments]
+        result = value_of(*values)
+        factors = [slope_of(result, *values) for slope_of in slopes_of]
+        return apply_chain_rule(result, *zip(factors, (slopes for _, slopes in arguments), strict=True))
+
+    return operate
 
 
-def _subtract(a: Dual, b: Dual) -> Dual:
-    return apply_chain_rule(a[0] - b[0], (1.0, a[1]), (-1.0, b[1]))  # type: ignore[arg-type]
-
-
-def _multiply(a: Dual, b: Dual) -> Dual:
-    return apply_chain_rule(a[0] * b[0], (b[0], a[1]), (a[0], b[1]))
-
-
-def _divide(a: Dual, b: Dual) -> Dual:
-    quotient = a[0] / b[0]
-    return apply_chain_rule(quotient, (1.0 / b[0], a[1]), (-quotient / b[0], b[1]))
-
-
-def _power(a: Dual, b: Dual) -> Dual:
+@cache
+def list_operations() -> dict[str, Callable[..., Dual]]:
     import numpy as np
 
-    (base, base_slopes), (exponent, exponent_slopes) = a, b
-    value = np.power(base, exponent)
-    # 0**p = 0 for every p above 0: its derivative by p is 0, where log(0) would make it 0 times infinity
-    growth = np.where((base == 0.0) & (exponent > 0.0), 0.0, value * np.log(base)) if exponent_slopes else value
-    fall = np.where(exponent == 0.0, 0.0, exponent * np.power(base, exponent - 1.0))
-    return apply_chain_rule(value, (fall, base_slopes), (growth, exponent_slopes))
+    def power(a: Dual, b: Dual) -> Dual:
+        (base, base_slopes), (exponent, exponent_slopes) = a, b
+        value = np.power(base, exponent)
+        # 0**p = 0 for every p above 0: its derivative by p is 0, where log(0) would make it 0 times infinity
+        growth = np.where((base == 0.0) & (exponent > 0.0), 0.0, value * np.log(base)) if exponent_slopes else value
+        fall = np.where(exponent == 0.0, 0.0, exponent * np.power(base, exponent - 1.0))
+        return apply_chain_rule(value, (fall, base_slopes), (growth, exponent_slopes))
+
+    def absolute(a: Dual) -> Dual:
+        value = a[0]
+        slopes = {name: np.where(value == 0.0, np.abs(slope), np.sign(value) * slope) for name, slope in a[1].items()}
+        return np.abs(value), slopes
+
+    return {
+        "+": make_operation(lambda a, b: a + b, lambda v, a, b: 1.0, lambda v, a, b: 1.0),
+        "-": make_operation(lambda a, b: a - b, lambda v, a, b: 1.0, lambda v, a, b: -1.0),
+        "*": make_operation(lambda a, b: a * b, lambda v, a, b: b, lambda v, a, b: a),
+        "/": make_operation(lambda a, b: a / b, lambda v, a, b: 1.0 / b, lambda v, a, b: -v / b),
+        "**": power,
+        "negative": make_operation(lambda a: -a, lambda v, a: -1.0),
+        "exp": make_operation(np.exp, lambda v, a: v),
+        "log": make_operation(np.log, lambda v, a: 1.0 / a),
+        "sqrt": make_operation(np.sqrt, lambda v, a: 0.5 / v),
+        "tanh": make_operation(np.tanh, lambda v, a: (1.0 - v) * (1.0 + v)),
+        "abs": absolute,
+        "min": partial(select_extreme, np.minimum),
+        "max": partial(select_extreme, np.maximum),
+    }
 
 
-def _negative(a: Dual) -> Dual:
-    return apply_chain_rule(-a[0], (-1.0, a[1]))  # type: ignore[arg-type]
-
-
-def _exp(a: Dual) -> Dual:
-    import numpy as np
-
-    value = np.exp(a[0])
-    return apply_chain_rule(value, (value, a[1]))
-
-
-def _log(a: Dual) -> Dual:
-    import numpy as np
-
-    return apply_chain_rule(np.log(a[0]), (1.0 / a[0], a[1]))
-
-
-def _sqrt(a: Dual) -> Dual:
-    import numpy as np
-
-    value = np.sqrt(a[0])
-    return apply_chain_rule(value, (0.5 / value, a[1]))
-
-
-def _tanh(a: Dual) -> Dual:
-    import numpy as np
-
-    value = np.tanh(a[0])
-    return apply_chain_rule(value, ((1.0 - value) * (1.0 + value), a[1]))
-
-
-def _abs(a: Dual) -> Dual:
-    import numpy as np
-
-    value = a[0]
-    slopes = {name: np.where(value == 0.0, np.abs(slope), np.sign(value) * slope) for name, slope in a[1].items()}
-    return np.abs(value), slopes
-
-
-def _least(*arguments: Dual) -> Dual:
-    return select_extreme(arguments, largest=False)
-
-
-def _largest(*arguments: Dual) -> Dual:
-    return select_extreme(arguments, largest=True)
-
-
-def select_extreme(arguments: tuple[Dual, ...], *, largest: bool) -> Dual:
+def select_extreme(select: Callable[..., "Array"], *arguments: Dual) -> Dual:
     """Return the largest or least argument; among equal ones the derivative is the largest or least too."""
     import numpy as np
 
-    select: Callable[..., Array] = np.maximum if largest else np.minimum
     value, slopes = arguments[0]
     for other, other_slopes in arguments[1:]:
         selected = select(value, other)
-        names = {**slopes, **other_slopes}
         selected_slopes: Slopes = {}
-        for name in names:
+        for name in {**slopes, **other_slopes}:
             slope, other_slope = slopes.get(name, np.float64(0.0)), other_slopes.get(name, np.float64(0.0))
             selected_slopes[name] = np.where(
                 value == other, select(slope, other_slope), np.where(selected == value, slope, other_slope)
             )
         value, slopes = selected, selected_slopes
     return value, slopes
-
-
-OPERATIONS: dict[str, Callable[..., Dual]] = {
-    "+": _add,
-    "-": _subtract,
-    "*": _multiply,
-    "/": _divide,
-    "**": _power,
-    "negative": _negative,
-    "exp": _exp,
-    "log": _log,
-    "sqrt": _sqrt,
-    "tanh": _tanh,
-    "abs": _abs,
-    "min": _least,
-    "max": _largest,
-}

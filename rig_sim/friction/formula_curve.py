@@ -49,8 +49,6 @@ class FormulaCurve:
 
 
 class _ParametrisedFormula(NamedTuple):
-    """A formula with the values of its parameters."""
-
     formula: Formula
     parameters: "Mapping[str, float]"
 

@@ -19,8 +19,6 @@ from rig_sim.friction.curve import CURVES
 
 @dataclass(frozen=True)
 class Law:
-    """One friction law."""
-
     number: int  # 1 to 6; 0 for a measured curve
     name: str
     curve: str  # 'constant', 'linear', 'hyperbolic': `rig_sim.friction.curve`; 'measured': `rig_sim.friction.spline`
@@ -29,7 +27,6 @@ class Law:
 
     @property
     def curve_code(self) -> int:
-        """The curve as the kernels' integer."""
         return CURVES[self.curve]
 
     @property

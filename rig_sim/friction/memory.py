@@ -22,8 +22,6 @@ BRISTLE, AGEING, SLIP = 0, 1, 2  # codes of the kernels
 
 @dataclass(frozen=True)
 class MemoryParameter:
-    """A parameter of a law with memory."""
-
     dimension: str  # of `stickslip.units`
     default: float | None = None  # None where a scene must give it
     may_be_zero: bool = False
@@ -31,8 +29,6 @@ class MemoryParameter:
 
 @dataclass(frozen=True)
 class MemoryLaw:
-    """A law with memory."""
-
     code: int
     title: str
     parameters: dict[str, MemoryParameter]

@@ -32,6 +32,7 @@ KERNEL_MODULES = (
 JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "nogil": True}
 
 
+@cache
 def compiled(function: Callable[..., Any], *modules: str, inline: bool = True) -> Callable[..., Any]:
     """Return ``function`` compiled; it may call any kernel and any function of ``modules``, and make no array.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from rig_sim.flow.frame import Frame, acceleration, linear_terms
 from rig_sim.flow.modes import RAMP
 from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
-from rig_sim.integrate.newton import EPS, newton_step
+from rig_sim.integrate.newton import EPS, polish_step
 
 PIECES = 500  # searched in one step of a driven ramp; the caller continues from there
 STEEP = 4.0  # ratio of the ramp's fast root to the other rates above which the closed form is the cheaper one
@@ -43,7 +43,6 @@ class DrivenRamp(NamedTuple):
 
 
 def driven_ramp(fr: Frame, p: float, w: float, t: float) -> DrivenRamp:
-    """Return the driven ramp that starts in the state (p, w) at time t."""
     C, _ = linear_terms(fr, RAMP)
     zeta = 0.5 * C / fr.m
     a = acceleration(fr, RAMP, p, w, t)
@@ -124,14 +123,7 @@ def ramp_root(ramp: DrivenRamp, level: float, side: int, inside: float, outside:
     tau = 0.5 * (inside + outside)
     for _i in range(100):
         _, value, slope = ramp_state(ramp, tau)
-        error = value - level
-        if error == 0.0:
-            return tau
-        if side * error > 0.0:
-            outside = tau
-        else:
-            inside = tau
-        tau, settled = newton_step(tau, error, slope, inside, outside)
+        tau, settled, inside, outside = polish_step(tau, value - level, slope, side, inside, outside)
         if settled:
             return tau
     return tau
@@ -158,14 +150,8 @@ def margin_root(load: StickLoad, level: float, side: int, inside: float, outside
     tau = 0.5 * (inside + outside)
     for _i in range(100):
         error = margin(load, tau) - level
-        if error == 0.0:
-            return tau
-        if side * error > 0.0:
-            outside = tau
-        else:
-            inside = tau
         slope = load.k * load.v + load.size * load.omega * math.sin(load.theta + load.omega * tau)
-        tau, settled = newton_step(tau, error, slope, inside, outside)
+        tau, settled, inside, outside = polish_step(tau, error, slope, side, inside, outside)
         if settled:
             return tau
     return tau

@@ -19,8 +19,6 @@ EVENTS_PER_CALL = 1024  # of the kernel
 
 @dataclass(frozen=True)
 class EventList:
-    """Events of one run."""
-
     t: tuple[float, ...]  # s
     x: tuple[float, ...]  # m
     kinds: tuple[str, ...]  # 'N>S', 'S>N', 'N>P' ...: the mode left and the one entered (S: stick or ramp)

@@ -198,7 +198,6 @@ def entered_mode(flow: MemoryFlow, mode: int, w: float) -> int:
 
 
 def event_share(flow: MemoryFlow, mode: int, h: float, start: Vector, end: Vector) -> float:
-    """Return the share of a step at which ``mode`` is left."""
     inside, outside = 0.0, 1.0
     for _i in range(BISECTIONS):
         s = 0.5 * (inside + outside)

@@ -18,3 +18,17 @@ def newton_step(tau: float, error: float, slope: float, inside: float, outside: 
     if not inside < following < outside:
         following = 0.5 * (inside + outside)
     return following, abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside
+
+
+def polish_step(
+    tau: float, error: float, slope: float, side: int, inside: float, outside: float
+) -> tuple[float, bool, float, float]:
+    """Return `newton_step` and the bracket made narrower: ``side`` times the error is above 0 outside."""
+    if error == 0.0:
+        return tau, True, inside, outside
+    if side * error > 0.0:
+        outside = tau
+    else:
+        inside = tau
+    following, settled = newton_step(tau, error, slope, inside, outside)
+    return following, settled, inside, outside

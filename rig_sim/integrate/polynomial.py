@@ -6,7 +6,7 @@ searched with a bound on the second derivative: a piece is passed only when the 
 polished only on a piece where the bound proves the polynomial monotone; pieces are halved until one of the two holds.
 """
 
-from rig_sim.integrate.newton import EPS, newton_step
+from rig_sim.integrate.newton import EPS, polish_step
 from rig_sim.integrate.work import Series
 
 SHORTEST_PIECE = 1e-9  # share of a step: over it a parabola stays within rounding
@@ -136,13 +136,7 @@ def polish(
     """Return the root between ``inside`` and ``outside``: Newton from ``xi``, kept in its bracket."""
     for _i in range(100):
         total, slope = deflate(c, degree, zeros, level, xi)
-        if total == 0.0:
-            return xi
-        if side * total > 0.0:
-            outside = xi
-        else:
-            inside = xi
-        xi, settled = newton_step(xi, total, slope, inside, outside)
+        xi, settled, inside, outside = polish_step(xi, total, slope, side, inside, outside)
         if settled:
             return xi
     return xi

@@ -1,8 +1,5 @@
 """The motion at given times, interpreted or compiled: one flow, event after event."""
 
-from collections.abc import Callable
-from functools import cache
-
 import numpy as np
 
 from rig_sim.flow.flow import Flow
@@ -20,9 +17,10 @@ def sample_motion(flow: Flow, state: State, times: Array, *, compiled: bool = Fa
     """
     samples = new_samples(times if compiled else times.tolist(), compiled=compiled)
     if compiled:
+        from rig_sim.integrate.compiled import compiled as compile_kernel
         from rig_sim.integrate.compiled import for_kernels
 
-        reached = compiled_store_motion()(for_kernels(flow), state, samples, new_work(compiled=True))
+        reached = compile_kernel(store_motion)(for_kernels(flow), state, samples, new_work(compiled=True))
     else:
         reached = store_motion(flow, state, samples, new_work())
     return np.asarray(samples.x[:reached]), np.asarray(samples.v[:reached])
@@ -37,10 +35,3 @@ def store_motion(flow: Flow, state: State, samples: Samples, work: Work) -> int:
         if kind >= FORCE_REVERSAL:
             break
     return i
-
-
-@cache
-def compiled_store_motion() -> Callable[..., int]:
-    from rig_sim.integrate.compiled import compiled
-
-    return compiled(store_motion)

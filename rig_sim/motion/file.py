@@ -88,10 +88,6 @@ def sample_scene(
     return columns, WrittenMotion(len(columns[0]), player.outcome.name, player.outcome.advice, player.steps)
 
 
-def column_names(scene: Scene) -> tuple[str, ...]:
-    return tuple(describe_columns(scene))
-
-
 def read(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """Return the columns of a file that `write` has written."""
     if suffix.choose_form(path, FORMS) == "csv":

@@ -18,10 +18,11 @@ ripple.
 """
 
 import math
+import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, initial_mode
@@ -63,15 +64,18 @@ class Event:
     kind: str
 
 
+AnyEvent = TypeVar("AnyEvent")
+
+
 @dataclass(frozen=True)
-class Events:
+class Events(Generic[AnyEvent]):
     """The events of one run, in order, and its end.
 
     ``outcome`` is 'completed' or the reason why it ended early, with ``advice``; ``steps`` counts the integrator's
     steps.
     """
 
-    events: tuple[Event, ...]
+    events: tuple[AnyEvent, ...]
     outcome: str
     advice: str
     steps: int
@@ -101,11 +105,7 @@ class ScenePlayer:
         # Of this stretch, each with the number of corners before it
         self._flows: list[tuple[int, Flow | MemoryFlow]] = []
         self._kicks = 0
-        self._scatter = None
-        if scene.scatter is not None:
-            from rig_sim.effects.scatter import ScatteredLevel
-
-            self._scatter = ScatteredLevel(scene.scatter.Fs, scene.seed)
+        self._scatter = random.Random(f"{scene.seed}/scatter")
         self._landings_matter = scene.wear is not None or scene.scatter is not None
         self._work: Any = memory.new_memory_work(max_steps) if self._has_memory else new_work(max_steps)
         self._mode = self._classify()
@@ -228,11 +228,9 @@ class ScenePlayer:
             return math.inf
         if self._belt_waits:
             return belt.start
-        if self.scene.joint is None or belt.length is None:
+        if self.scene.joint is None or belt.length is None or belt.speed == 0.0:
             return math.inf
-        from rig_sim.effects.joint import passing_time
-
-        return passing_time(self._kicks + 1, belt.start, belt.length, belt.speed)
+        return belt.start + (self._kicks + 1) * belt.length / abs(belt.speed)
 
     def _apply_change(self, reached: int, corners: list[tuple[int, float, float, float]]) -> None:
         """Start the belt, or kick the mass."""
@@ -271,11 +269,9 @@ class ScenePlayer:
         """Return the factor on the friction curve from this landing on."""
         factor = 1.0
         if self.scene.wear is not None:
-            from rig_sim.effects.wear import wear_factor
-
-            factor = wear_factor(self.scene.wear.rate, self.t)
-        if self._scatter is not None:
-            factor *= self._scatter.factor()
+            factor = 1.0 - self.scene.wear.rate * self.t
+        if self.scene.scatter is not None:
+            factor *= 1.0 + self._scatter.gauss(0.0, self.scene.scatter.Fs)
         return max(LEAST_FACTOR, factor)
 
     def _record_event(self, kind: str) -> None:
@@ -315,7 +311,7 @@ def refine_times(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray
     return np.append(fine, times[-1]), indices
 
 
-def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS) -> Events:
+def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS) -> Events[Event]:
     """Return when and where the mass sticks and slips, from t = 0 to ``until`` (s); only those from ``since`` on.
 
     A motion that repeats bit for bit is integrated once and its cycle listed again and again: at most `MOST_EVENTS`

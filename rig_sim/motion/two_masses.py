@@ -15,7 +15,7 @@ from rig_sim.flow.modes import EVENT_LIMIT, LETTERS, OUTCOMES, STICK
 from rig_sim.flow.two_mass import slip_start
 from rig_sim.integrate.pair_motion import EVENTS, SAMPLES, PairMotion
 from rig_sim.integrate.two_mass import load
-from rig_sim.motion.play import DEFAULT_MAX_STEPS, MOST_EVENTS
+from rig_sim.motion.play import DEFAULT_MAX_STEPS, MOST_EVENTS, Events
 from rig_sim.scenes.model import Scene
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
@@ -41,16 +41,6 @@ class TwoMassEvent:
     kind: str
 
 
-@dataclass(frozen=True)
-class TwoMassEvents:
-    """The events of one run, in order; its outcome, advice, and the integrator's steps."""
-
-    events: tuple[TwoMassEvent, ...]
-    outcome: str
-    advice: str
-    steps: int
-
-
 def find_start(scene: Scene) -> tuple[float, float, float, float]:
     """Return x1, v1, x2, v2 (m, m/s) at t = 0."""
     section = scene.start
@@ -71,9 +61,9 @@ def find_stretch(scene: Scene) -> float:
         return section.d
     if section.attractor is None:
         raise InputError("does not begin in a global stick", f"scene {scene.name}", "set start.d or start.attractor")
-    from rig_sim.dynamics.analyses.basins import basins
-    from rig_sim.dynamics.return_maps.section import CELLS
-    from rig_sim.dynamics.return_maps.stick import StickMap
+    from rig_sim.analyses.basins import basins
+    from rig_sim.analyses.section import CELLS
+    from rig_sim.systems.stick import StickMap
 
     flow = scene.two_mass_flow()
     attractors = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()
@@ -85,7 +75,7 @@ def find_stretch(scene: Scene) -> float:
 
 def two_mass_events(
     scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS
-) -> TwoMassEvents:
+) -> Events[TwoMassEvent]:
     """Return when and where the masses stick and slip, from t = 0 to ``until`` (s)."""
     motion = PairMotion(scene.two_mass_flow(), find_start(scene), max_steps)
     fr = motion.frame
@@ -100,7 +90,7 @@ def two_mass_events(
         old1, old2, new1, new2 = (LETTERS[mirror_mode(fr, int(mode))] for mode in (before1, before2, mode1, mode2))
         events.append(TwoMassEvent(t, fr.x0 + fr.mirror * y1, fr.x0 + fr.mirror * y2, f"{old1}{old2}>{new1}{new2}"))
     outcome = outcome or motion.outcome
-    return TwoMassEvents(tuple(events), outcome.name, outcome.advice, motion.steps)
+    return Events(tuple(events), outcome.name, outcome.advice, motion.steps)
 
 
 class TwoMassPlayer:

@@ -1,13 +1,11 @@
 """Parameters drawn from what a fit knows of them: the section ``fit`` of a scene, as changes for `scene`."""
 
-from typing import TYPE_CHECKING
+import numpy as np
 
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import FitSection
+from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
-
-if TYPE_CHECKING:
-    from stickslip.compute.arrays import Array
 
 # Lower limits that are physical values themselves: a draw below is set to the limit.  The scene refuses a draw that
 # breaks another limit.
@@ -24,8 +22,6 @@ def draw_changes(scene: Scene, number: int, where: str) -> list[dict[str, object
     The errors are normal over the root of a chi square of ``cycles - 1`` degrees of freedom, as those of Student's t:
     with few cycles the covariance itself is uncertain.
     """
-    import numpy as np
-
     fit = scene.fit
     if fit is None:
         do = "write the scene with fit-friction --save-scene"
@@ -74,10 +70,8 @@ def apply_lower_limit(name: str, number: float) -> float:
     return max(number, LOWEST.get(name, -float("inf")))
 
 
-def check_covariance(fit: FitSection, where: str) -> "Array":
+def check_covariance(fit: FitSection, where: str) -> Array:
     """Return the covariance (n, n), checked against the names and values."""
-    import numpy as np
-
     n = len(fit.parameters)
     rows = fit.covariance
     if len(fit.values) != n or len(rows) != n or any(len(row) != n for row in rows) or n == 0:

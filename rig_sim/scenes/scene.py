@@ -175,7 +175,8 @@ def read_source(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
             name: dict(keys) if isinstance(keys, dict) else keys for name, keys in parse_toml(data, where).items()
         }
     except FileNotFoundError:
-        raise InputError("no such file", where, f"check the path, or take a built-in scene: {list_builtin()}") from None
+        do = f"check the path, or take a built-in scene: {', '.join(builtin_names())}"
+        raise InputError("no such file", where, do) from None
     except UnicodeDecodeError:
         do = "give a scene's TOML file; of a run, fit-friction RUN.h5 --save-scene FILE.toml writes one"
         raise InputError("cannot be read: it is no text file", where, do) from None
@@ -190,10 +191,6 @@ def parse_toml(data: bytes, where: str) -> dict[str, Any]:
     from stickslip import toml
 
     return toml.parse(data.decode(), where)
-
-
-def list_builtin() -> str:
-    return ", ".join(builtin_names())
 
 
 def apply_change(content: dict[str, Any], dotted: str, value: object, where: str) -> None:

@@ -69,7 +69,6 @@ class Belt(Section):
     channel: bool | None = None
 
     def swing(self) -> "SwingingBelt":
-        """Return the swing of a belt that has a ripple."""
         from rig_sim.effects.ripple import SwingingBelt
 
         return SwingingBelt(self.ripple or 0.0, self.ripple_hz or 0.0, self.start)

@@ -11,7 +11,7 @@ from fitting import rank
 from fitting.scene import of_ranking
 from processing.record.motion import Finding
 from processing.smoothing import smooth
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
 from stickslip.errors import InputError

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from rig_sim.analyses.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.atlas.chapters.axes import F, T, V, X, play_motion
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.motion.play import Event, events

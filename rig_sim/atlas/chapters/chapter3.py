@@ -19,7 +19,7 @@ from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import read_entries
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, Integers
 from stickslip.compute.interpreter import start_python
 from stickslip.errors import StickslipError
 
@@ -86,7 +86,7 @@ def play_exact(until: float) -> tuple[Array, ...]:
 
 def draw_displacement() -> Computed:
     run = record_runs()["fd"]
-    _, slips = find_turns(run)
+    slips = run.x[find_sticks(run)[1]].tolist()
     numbers = {
         "least": run.x.min(),
         "least_slip": min(slips),
@@ -96,19 +96,15 @@ def draw_displacement() -> Computed:
     return Computed((Panel(T, X, (Trace(run.t, run.x),)),), numbers)
 
 
-def find_turns(run: EstimatedRun) -> tuple[list[float], list[float]]:
-    """Return the displacements (cm) at the starts and ends of full sticks."""
+def find_sticks(run: EstimatedRun) -> tuple[Integers, Integers]:
     starts = np.flatnonzero(run.stick[1:] & ~run.stick[:-1]) + 1
     ends = np.flatnonzero(~run.stick[1:] & run.stick[:-1])
-    ends = ends[ends > starts[0]]
-    return run.x[starts].tolist(), run.x[ends].tolist()
+    return starts, ends[ends > starts[0]]
 
 
 def measure_sticks(run: EstimatedRun) -> Array:
     """Return the durations of the full sticks, s."""
-    starts = np.flatnonzero(run.stick[1:] & ~run.stick[:-1]) + 1
-    ends = np.flatnonzero(~run.stick[1:] & run.stick[:-1])
-    ends = ends[ends > starts[0]]
+    starts, ends = find_sticks(run)
     count = min(len(starts), len(ends))
     times: Array = run.t[ends[:count]] - run.t[starts[:count]]
     return times
@@ -177,7 +173,8 @@ def line_spacing() -> float:
 def draw_portrait(method: str) -> Computed:
     run = record_runs()[method]
     later = run.t > 1.0
-    landings, slips = find_turns(record_runs()["sg"])
+    smooth = record_runs()["sg"]
+    landings, slips = (smooth.x[places] for places in find_sticks(smooth))
     numbers = {
         "landing": np.mean(landings),
         "slip": np.mean(slips),

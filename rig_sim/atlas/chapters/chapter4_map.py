@@ -5,18 +5,18 @@ from functools import cache, partial
 
 import numpy as np
 
+from rig_sim.analyses.basins import TRANSIENT, Attractor, basins
+from rig_sim.analyses.exponent import exponent
+from rig_sim.analyses.map_branches import map_continuation
+from rig_sim.analyses.periodic_points import find_periodic_orbits
+from rig_sim.analyses.section import CELLS, attractors_at
+from rig_sim.analyses.sweep import AttractorAt, sweep
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.analyses.basins import TRANSIENT, Attractor, basins
-from rig_sim.dynamics.analyses.exponent import exponent
-from rig_sim.dynamics.analyses.map_branches import map_continuation
-from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
-from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
-from rig_sim.dynamics.return_maps.section import CELLS, attractors_at
-from rig_sim.dynamics.return_maps.stick import StickMap
-from rig_sim.dynamics.system.interface import slope
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.interface import slope
+from rig_sim.systems.stick import StickMap
 from stickslip.compute.arrays import Array
 
 SPEEDS = np.linspace(0.08, 0.2, 161)  # of figure 4.18; 0.2 s of CPU each

@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
+from rig_sim.analyses.exponent import Exponent, exponent
+from rig_sim.analyses.limit_cycles.fixed_point import two_mass_fixed_point
 from rig_sim.atlas.figure import Computed, Label, Panel, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.analyses.exponent import Exponent, exponent
-from rig_sim.dynamics.limit_cycles.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.return_maps.stick import StickMap
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, find_stretch, two_mass_events
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.stick import StickMap
 from stickslip.compute.arrays import Array
 
 V = 0.08075  # belt velocity of figures 4.2 and 4.3 in the thesis

@@ -5,13 +5,13 @@ from functools import cache
 
 import numpy as np
 
+from rig_sim.analyses.limit_cycles.branches import continuation
+from rig_sim.analyses.limit_cycles.fixed_point import FixedPoint, fixed_point
+from rig_sim.analyses.limit_cycles.floquet import FloquetOrbit, floquet
+from rig_sim.analyses.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.atlas.chapters.axes import V, X, play_motion
 from rig_sim.atlas.figure import Computed, Panel, Style, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.limit_cycles.branches import continuation
-from rig_sim.dynamics.limit_cycles.fixed_point import FixedPoint, fixed_point
-from rig_sim.dynamics.limit_cycles.floquet import FloquetOrbit, floquet
-from rig_sim.dynamics.limit_cycles.limit_cycle import Orbit, cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 from stickslip.compute.arrays import Array
@@ -54,7 +54,6 @@ def find_special_points() -> dict[str, float]:
 
 
 def find_special_damping(kind: str) -> float:
-    """Return the damping of a special point: 'hopf' or 'fold'."""
     return find_special_points()[kind]
 
 

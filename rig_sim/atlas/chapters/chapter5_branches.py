@@ -7,6 +7,9 @@ from functools import cache
 
 import numpy as np
 
+from rig_sim.analyses.limit_cycles.branches import continuation
+from rig_sim.analyses.limit_cycles.floquet import FloquetOrbit
+from rig_sim.analyses.special_points import Branch, Continuation
 from rig_sim.atlas.chapters.axes import DAMPING, V, X
 from rig_sim.atlas.chapters.chapter5 import (
     SPEED,
@@ -23,9 +26,6 @@ from rig_sim.atlas.chapters.chapter5 import (
 )
 from rig_sim.atlas.figure import Computed, Label, Panel, Style, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.analyses.special_points import Branch, Continuation
-from rig_sim.dynamics.limit_cycles.branches import continuation
-from rig_sim.dynamics.limit_cycles.floquet import FloquetOrbit
 
 SPACE_FROM = 0.28  # least damping of figure 5.7
 BESIDE = 1e-6  # distance from a special point at which the branches end and the fold's multiplier is evaluated

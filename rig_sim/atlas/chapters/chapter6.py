@@ -5,17 +5,17 @@ from functools import cache, partial
 
 import numpy as np
 
+from rig_sim.analyses.control.dither import Quench, quench
+from rig_sim.analyses.exponent import Exponent, exponent
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.settling import find_attractors
+from rig_sim.analyses.sweep import AttractorAt, sweep
 from rig_sim.atlas.chapters.axes import T, V, X, play_motion
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.analyses.exponent import Exponent, exponent
-from rig_sim.dynamics.analyses.settling import find_attractors
-from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
-from rig_sim.dynamics.control.dither import Quench, quench
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import DrivenMap, driven_map_with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.driven import DrivenMap, driven_map_with_starts
 
 SPEED, U0 = 0.085, 0.2  # of the scene `forced`
 OMEGAS = np.linspace(0.2, 2.0, 241)  # of figure 6.6; 0.13 s of CPU each
@@ -104,14 +104,10 @@ def compute_dither() -> Quench:
     return quench(flow_at(FAST[1], FAST[0]), 0.0, 0.0)
 
 
-def drive_changes(setting: tuple[float, float]) -> tuple[tuple[str, float], ...]:
-    return ("drive.u0", setting[0]), ("drive.omega", setting[1])
-
-
 def draw_quenched(of_velocity: bool) -> Computed:
     traces: list[Trace] = []
     for setting, name in ((SLOW, "unquenched"), (FAST, "quenched")):
-        t, x, v, _ = play_motion("forced", 120.0, 50.0, drive_changes(setting))
+        t, x, v, _ = play_motion("forced", 120.0, 50.0, (("drive.u0", setting[0]), ("drive.omega", setting[1])))
         label = f"{name}: u0 = {setting[0]}, omega = {setting[1]}"
         traces.append(Trace(t, v if of_velocity else x, label, "line" if traces else "thin", len(traces)))
     result = compute_dither()

@@ -5,16 +5,16 @@ from functools import cache, partial
 
 import numpy as np
 
+from rig_sim.analyses.control.locking import Locking, find_and_lock
+from rig_sim.analyses.control.ogy import Lock
+from rig_sim.analyses.control.phasor import phasor
+from rig_sim.analyses.control.search_and_lock import SearchAndLock, search_and_lock
+from rig_sim.analyses.control.stability import ShakerCurve, ShakerPlane
 from rig_sim.atlas.chapters.axes import T, V, X
 from rig_sim.atlas.chapters.chapter6 import U0, flow_at
 from rig_sim.atlas.figure import Computed, Panel, Trace
 from rig_sim.atlas.statements import read_entries
-from rig_sim.dynamics.control.locking import Locking, find_and_lock
-from rig_sim.dynamics.control.ogy import Lock
-from rig_sim.dynamics.control.phasor import phasor
-from rig_sim.dynamics.control.search_and_lock import SearchAndLock, search_and_lock
-from rig_sim.dynamics.control.stability import ShakerCurve, ShakerPlane
-from rig_sim.dynamics.return_maps.landing import LandingMap
+from rig_sim.systems.landing import LandingMap
 from stickslip.compute.arrays import Array
 
 S = 0.3  # gamma_lin - c: the thesis's least amplification at phi = pi
@@ -28,9 +28,7 @@ ORBITS = {2: (1.6, 0.0006), 5: (1.1, 0.0047)}  # by period: the drive's frequenc
 
 
 def trace_curve(curve: ShakerCurve, label: str, colour: int, dashed: bool = False) -> Trace:
-    jumps = np.flatnonzero(np.abs(np.diff(curve.phi)) > math.pi) + 1
-    phi, a = np.insert(curve.phi, jumps, np.nan), np.insert(curve.a, jumps, np.nan)
-    return Trace(phi, a, label, "dashed" if dashed else "line", colour)
+    return Trace(*curve.with_gaps(), label, "dashed" if dashed else "line", colour)
 
 
 def make_plane_panel(traces: tuple[Trace, ...]) -> tuple[Panel, ...]:

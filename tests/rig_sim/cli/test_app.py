@@ -14,9 +14,9 @@ import pytest
 
 import rig_sim
 from rig_sim.cli.app import app
-from rig_sim.functions.maps import format_with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
+from rig_sim.results.maps import format_with_error
 from stickslip.console import application
 
 from ..shared import LIMIT_CYCLES, answer, settings

@@ -123,11 +123,11 @@ def test_compare_ranks_the_methods_of_the_contract():
 def test_a_scene_that_changes_between_events_is_played_by_every_method(name, changes, until):
     """DOP853 may find a landing twice at its tightest, by the processor's dot products: one near rival is enough."""
     found = compare(scene(name, **changes), until, methods=("exact", "rk4-henon", "dop853"))
-    rows = {(row.method, row.setting): row for row in found.rows}
+    rows = {(row.method, row.setting): row for row in found.results}
     assert found.cycles >= 2
     assert "the tightest other method" in found.reference
     assert rows["rk4-henon", "h 0.003"].error < 1e-7
-    assert min(row.error for row in found.rows if row.method != "exact" and row.error is not None) < 1e-9
+    assert min(row.error for row in found.results if row.method != "exact" and row.error is not None) < 1e-9
     compared = re.search("exact with dop853 (rtol [^;]*)", found.reference)
     assert rows["exact", "interpreted"].error == rows["dop853", compared[1]].error
 
@@ -164,7 +164,7 @@ def test_lists_of_other_lengths_part_at_the_first_event_that_is_not_in_both():
 def test_the_exact_method_has_an_error_where_a_rival_finds_other_events():
     """At which of its tolerances DOP853 finds one landing twice depends on the processor's dot products."""
     found = compare(scene("rig"), 11.0, methods=("exact", "dop853", "radau"))
-    rows = {(row.method, row.setting): row for row in found.rows}
+    rows = {(row.method, row.setting): row for row in found.results}
     assert rows["radau", "rtol 1e-09"].error < 1e-9
     peer = re.search("compared: exact with dop853 (rtol [^;]*); dop853, radau with exact interpreted", found.reference)
     assert rows["exact", "interpreted"].error == rows["dop853", peer[1]].error is not None

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rig_sim.dynamics.system.formula import FormulaMap
+from rig_sim.systems.formula import FormulaMap
 
 
 class Logistic(FormulaMap):

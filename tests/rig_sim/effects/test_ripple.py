@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
 

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.control.phasor import phasor
-from rig_sim.dynamics.limit_cycles.fixed_point import friction_at_rest
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.control.phasor import phasor
+from rig_sim.analyses.limit_cycles.fixed_point import friction_at_rest
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.effects.shaker import add_shaker
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.play import ScenePlayer, events

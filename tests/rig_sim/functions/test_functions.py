@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import rig_sim
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
-from rig_sim.dynamics.pictures import control
+from rig_sim.results import quench as control
 from stickslip.console import application
 from stickslip.errors import InputError
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rig_sim.functions.resume import open_resume_file
+from rig_sim.results.resume import open_resume_file
 from stickslip.errors import InputError
 
 HEADER = {"command": "count", "step": {"size": 0.1}}

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP
 from rig_sim.friction import contact

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from rig_sim.analyses.limit_cycles.branches import continuation
+from rig_sim.analyses.limit_cycles.fixed_point import fixed_point
+from rig_sim.analyses.limit_cycles.floquet import floquet
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.settling import find_attractors
 from rig_sim.comparison import reference
-from rig_sim.dynamics.analyses.settling import find_attractors
-from rig_sim.dynamics.limit_cycles.branches import continuation
-from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
-from rig_sim.dynamics.limit_cycles.floquet import floquet
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
-from rig_sim.dynamics.return_maps.driven import driven_map_with_starts
-from rig_sim.dynamics.return_maps.landing import LandingMap
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.spline import about, find_problem, piece_of, spline_table
 from rig_sim.integrate.events import list_events
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.driven import driven_map_with_starts
+from rig_sim.systems.landing import LandingMap
 
 SPEEDS = (0.0, 0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 0.9, 1.2, 1.5, 1.8, 2.1)
 HYPERBOLA = [[s, 1.0 / (1.0 + 3.0 * s)] for s in SPEEDS]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import force
 from rig_sim.flow.modes import NEGATIVE
 from rig_sim.friction.contact import force as force_of_law

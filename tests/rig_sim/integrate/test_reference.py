@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.comparison.error_vs_time import difference
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
 

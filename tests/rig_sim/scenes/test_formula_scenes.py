@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.dynamics.limit_cycles.branches import continuation
-from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point
-from rig_sim.dynamics.limit_cycles.floquet import floquet
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.limit_cycles.branches import continuation
+from rig_sim.analyses.limit_cycles.fixed_point import fixed_point
+from rig_sim.analyses.limit_cycles.floquet import floquet
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED

@@ -5,17 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.analyses.basins import basins, merge_sets
-from rig_sim.dynamics.analyses.exponent import exponent
-from rig_sim.dynamics.analyses.map_branches import map_continuation
-from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
-from rig_sim.dynamics.analyses.sweep import AttractorAt, number_as_before
-from rig_sim.dynamics.pictures.maps import PLACES, find_jumps
-from rig_sim.dynamics.return_maps.section import attractors_at
-from rig_sim.dynamics.return_maps.stick import StickMap
+from rig_sim.analyses.basins import basins, merge_sets
+from rig_sim.analyses.exponent import exponent
+from rig_sim.analyses.map_branches import map_continuation
+from rig_sim.analyses.periodic_points import find_periodic_orbits
+from rig_sim.analyses.section import attractors_at
+from rig_sim.analyses.sweep import AttractorAt, number_as_before
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
+from rig_sim.results.maps import PLACES, find_jumps
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.stick import StickMap
 
 from ...shared import CHAPTERS, answer
 from ..textbook import Logistic, OnInterval

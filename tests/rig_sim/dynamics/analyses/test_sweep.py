@@ -8,10 +8,10 @@ from functools import cache
 
 import pytest
 
+from rig_sim.analyses import section
+from rig_sim.analyses import sweep as sweeps
+from rig_sim.analyses.sweep import AttractorAt
 from rig_sim.cli import app as cli
-from rig_sim.dynamics.analyses import sweep as sweeps
-from rig_sim.dynamics.analyses.sweep import AttractorAt
-from rig_sim.dynamics.return_maps import section
 from rig_sim.scenes.scene import BUILTIN_FOLDER
 from stickslip.console import application
 

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.analyses.exponent import exponent, rotation_number
-from rig_sim.dynamics.analyses.settling import Settled, find_attractors, is_same, settle
-from rig_sim.dynamics.analyses.sweep import sweep
+from rig_sim.analyses.exponent import exponent, rotation_number
+from rig_sim.analyses.settling import Settled, find_attractors, is_same, settle
+from rig_sim.analyses.sweep import sweep
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 
 from ..textbook import BouncingBall, Circle, Duffing, Logistic

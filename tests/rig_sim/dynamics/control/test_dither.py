@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rig_sim.analyses.control import dither
+from rig_sim.analyses.control.dither import quench, sample_positions, threshold
 from rig_sim.cli import app as cli
-from rig_sim.dynamics.control import dither
-from rig_sim.dynamics.control.dither import quench, sample_positions, threshold
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT
 from stickslip.console import application

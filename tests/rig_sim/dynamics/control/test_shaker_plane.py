@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.dynamics.control.phasor import phasor, phasor_roots, shaker_for
-from rig_sim.dynamics.control.stability import ShakerPlane
+from rig_sim.analyses.control.phasor import phasor, phasor_roots, shaker_for
+from rig_sim.analyses.control.stability import ShakerPlane
 
 from ...shared import CHAPTERS, answer
 

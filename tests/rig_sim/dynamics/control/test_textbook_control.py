@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, find_orbits_in_motion, orbit_multipliers
-from rig_sim.dynamics.control.locking import Locking, find_and_lock
-from rig_sim.dynamics.control.ogy import lock
-from rig_sim.dynamics.control.search_and_lock import search_and_lock
-from rig_sim.dynamics.system.formula import FormulaMap
-from rig_sim.dynamics.system.interface import derivatives, difference, orbit
+from rig_sim.analyses.control.locking import Locking, find_and_lock
+from rig_sim.analyses.control.ogy import lock
+from rig_sim.analyses.control.search_and_lock import search_and_lock
+from rig_sim.analyses.unstable_orbits import UnstableOrbit, find_orbits_in_motion, orbit_multipliers
+from rig_sim.systems.formula import FormulaMap
+from rig_sim.systems.interface import derivatives, difference, orbit
 
 from ..textbook import BouncingBall, Henon, Logistic
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rig_sim.analyses.limit_cycles.branches import continuation
+from rig_sim.analyses.limit_cycles.fixed_point import fixed_point, quadratic_roots
+from rig_sim.analyses.limit_cycles.floquet import floquet
 from rig_sim.cli import app as cli
-from rig_sim.dynamics.limit_cycles.branches import continuation
-from rig_sim.dynamics.limit_cycles.fixed_point import fixed_point, quadratic_roots
-from rig_sim.dynamics.limit_cycles.floquet import floquet
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events

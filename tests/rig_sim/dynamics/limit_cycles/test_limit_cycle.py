@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from rig_sim.dynamics.limit_cycles.limit_cycle import cycle
+from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.friction.law import LAWS
 
 from ...shared import flow_of

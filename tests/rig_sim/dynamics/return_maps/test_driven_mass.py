@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.analyses.exponent import exponent
-from rig_sim.dynamics.analyses.settling import find_attractors
-from rig_sim.dynamics.control import dither
-from rig_sim.dynamics.return_maps import driven as driven_mass
-from rig_sim.dynamics.return_maps.driven import DrivenMap, driven_map_with_starts
+from rig_sim.analyses.control import dither
+from rig_sim.analyses.exponent import exponent
+from rig_sim.analyses.settling import find_attractors
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
+from rig_sim.systems import driven as driven_mass
+from rig_sim.systems.driven import DrivenMap, driven_map_with_starts
 
 from ...shared import CHAPTERS, answer
 from .general_solver import follow_by_scipy

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig_sim.dynamics.analyses.unstable_orbits import find_orbits_in_motion
-from rig_sim.dynamics.control.ogy import lock
-from rig_sim.dynamics.control.search_and_lock import search_and_lock
-from rig_sim.dynamics.return_maps.landing import LandingMap
-from rig_sim.dynamics.system.interface import difference, orbit
-from rig_sim.functions import control
+from rig_sim.analyses.control.ogy import lock
+from rig_sim.analyses.control.search_and_lock import search_and_lock
+from rig_sim.analyses.unstable_orbits import find_orbits_in_motion
+from rig_sim.results import lock as control
 from rig_sim.scenes.scene import scene
+from rig_sim.systems.interface import difference, orbit
+from rig_sim.systems.landing import LandingMap
 
 from ...shared import CHAPTERS, answer, settings
 from .general_solver import follow_by_scipy

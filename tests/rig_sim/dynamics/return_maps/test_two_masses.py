@@ -5,20 +5,20 @@ import math
 import numpy as np
 import pytest
 
+from rig_sim.analyses import section
+from rig_sim.analyses.limit_cycles.fixed_point import two_mass_fixed_point
+from rig_sim.analyses.periodic_points import find_periodic_orbits
 from rig_sim.cli import app as cli
-from rig_sim.dynamics.analyses.periodic_points import find_periodic_orbits
-from rig_sim.dynamics.limit_cycles.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.return_maps import section
-from rig_sim.dynamics.return_maps import stick as stick_map
-from rig_sim.dynamics.return_maps.stick import COARSE, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.friction.curve import CONSTANT, LINEAR
-from rig_sim.functions import branches, maps
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.pair_motion import SAMPLES, PairMotion
 from rig_sim.motion.two_masses import two_mass_events
+from rig_sim.results import branches, maps
 from rig_sim.scenes.scene import scene
+from rig_sim.systems import stick as stick_map
+from rig_sim.systems.stick import COARSE, FINE, StickMap
 from stickslip.console import application
 
 from ...shared import BENCHMARKS, CHAPTERS, answer

@@ -1,1 +1,0 @@
-"""Questions about a system's dynamics, one a file."""

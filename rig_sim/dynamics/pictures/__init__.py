@@ -1,1 +1,0 @@
-"""Pictures of analyses; matplotlib is imported here."""
