@@ -105,6 +105,7 @@ class BlockFindings:
     step_sums: Array  # `processing.defects.frames.step_sums`; zeros where a board's sample numbers show missing samples
     means: list[tuple[float, float]]  # time, s, and position, m, of parts of the block
     samples: int
+    ends: tuple[float, float]  # times of the first and the last sample, s
     window: int
     order: int
     belt_speed: float  # m/s
@@ -226,6 +227,7 @@ def apply(
             ),
             means=[(float(recorded[k].mean()), float(columns["position"][k].mean())) for k in parts],
             samples=samples.stop - samples.start,
+            ends=(float(recorded[0]), float(recorded[-1])),
             window=motion.window,
             order=motion.order,
             belt_speed=segmentation.belt_speed * units.of(1, -1),
@@ -236,7 +238,7 @@ def apply(
 def join(
     model: MotionModel, blocks: Sequence[BlockFindings], unit: str, stated: Measured | None, *, fixed: bool
 ) -> dict[str, Any]:
-    """Return the fields of `SmoothingHeader` from the findings of the blocks, in order.
+    """Return the fields of `SmoothingSummary` from the findings of the blocks, in order.
 
     ``stated`` is the rig's belt speed, m/s; ``fixed`` tells whether steps were removed from the position.
     """
@@ -281,6 +283,10 @@ def join(
         ),
         "noise": model.faults.noise * abs(model.units.length_unit),
         "repaired": fixed and bool(steps),
+        "samples": sum(block.samples for block in blocks),
+        "span": blocks[-1].ends[1] - blocks[0].ends[0],
+        "unit": unit,
+        "belt_counted": model.belt_noise is not None,
         "model": values_in_si(model, model.units),
     }
 

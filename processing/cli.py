@@ -72,7 +72,7 @@ def smooth(
 
     speed = belt_speed if belt_speed == "auto" else quantity(belt_speed, "speed", "--belt-speed")
     options = (method, window, order, times, speed, repair_counts)
-    motion: Kinematics | SmoothingSummary
+    motion: SmoothingSummary
     samples = store.select_between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
     with store.open_reader(file, samples) as run:
         n = run.samples

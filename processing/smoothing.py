@@ -68,13 +68,7 @@ def smooth(
         motion_model, [block.findings], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix"
     )
     columns: dict[str, Any] = block.columns
-    kinematics = Kinematics(
-        recording=recording,
-        times=times,
-        **columns,
-        **header,
-        cpu_s=clock.process_time() - started,
-    )
+    kinematics = Kinematics(recording=recording, times=times, **columns, **header, cpu_s=clock.process_time() - started)
     details = kinematics.recording.name, kinematics.method, len(kinematics.sticks), kinematics.cpu_s
     logger.info("smoothed %s: %s, %d sticks, %.2f s of CPU time", *details)
     return kinematics
@@ -109,7 +103,6 @@ def smooth_file(
 
     def write(entry: h5py.Group) -> None:
         table = stage.begin(entry, n, recording.unit, belt=belt)
-        ends = []
         with store.open_reader(path, samples) as run:
             reader = _Reader(run, times, margin, start)
             for begin in range(0, n, BLOCK):
@@ -121,22 +114,11 @@ def smooth_file(
                 )
                 block_findings.append(block.findings)
                 stage.fill(table, begin, block.columns)
-                ends += [float(block.columns["time"][0]), float(block.columns["time"][-1])]
                 progress(end)
         header = blocks.join(
             model, block_findings, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix"
         )
-        stuck = sum(phase.last - phase.first + 1 for phase in header["phases"] if phase.kind == "stick")
-        summary = SmoothingSummary(
-            **header,
-            times=times,
-            samples=n,
-            span=ends[-1] - ends[0],
-            unit=recording.unit,
-            plateau_fraction=stuck / n,
-            belt_counted=belt,
-            cpu_s=clock.process_time() - started,
-        )
+        summary = SmoothingSummary(**header, times=times, cpu_s=clock.process_time() - started)
         summaries.append(summary)
         stage.finish(entry, summary, recording.digest, samples)
 

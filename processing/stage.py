@@ -45,7 +45,7 @@ HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
 class _Stage:
     """The source of the fields of the stage."""
 
-    motion: Kinematics | SmoothingSummary
+    motion: SmoothingSummary
     digest: str  # sha256 of the raw data
     part: slice  # samples of the run
     statistics: StickSlipStatistics
@@ -213,7 +213,7 @@ def fill(table: h5py.Group, begin: int, columns: Mapping[str, Array]) -> None:
         table[name][begin : begin + values.size] = values
 
 
-def finish(entry: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str, samples: slice = nexus.EVERY) -> None:
+def finish(entry: h5py.Group, motion: SmoothingSummary, digest: str, samples: slice = nexus.EVERY) -> None:
     """Write the parameters, the model, the portrait, the phases and the statistics after the kinematics."""
     kinematics = entry["smooth/kinematics"]
     position, time = kinematics["position"][()], kinematics["time"][()]
@@ -259,6 +259,10 @@ def load(path: Path) -> Kinematics | None:
         return Kinematics(
             recording=recording,
             **values,
+            samples=recording.time.size,
+            span=float(values["time"][-1] - values["time"][0]),
+            unit=recording.unit,
+            belt_counted=bool(belt),
             phases=tuple(Phase(**unknown | row) for row in tree.rows(stored, "motion.phases")),
             losses=tuple(_restore_loss(recording, **row) for row in tree.rows(stored, "motion.losses")),
             kicks=tuple(VelocityStep(**row) for row in tree.rows(stored, "motion.kicks")),

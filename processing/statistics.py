@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from processing.record.kinematics import Kinematics, SmoothingHeader
+from processing.record.kinematics import Kinematics, SmoothingSummary
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import shown_length
 
@@ -112,7 +112,7 @@ class StickSlipStatistics:
         ]
 
 
-def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSlipStatistics:
+def statistics(motion: SmoothingSummary, position: Array, time: Array) -> StickSlipStatistics:
     """Return the statistics of a smoothed record; ``position`` is without steps, m from the spring's rest position."""
     sign = math.copysign(1.0, motion.belt_speed) if math.isfinite(motion.belt_speed) else 1.0
     phases = motion.phases

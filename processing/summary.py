@@ -31,7 +31,7 @@ HEADER = (
 )
 
 
-def as_json(motion: Kinematics | SmoothingSummary) -> dict[str, Any]:
+def as_json(motion: SmoothingSummary) -> dict[str, Any]:
     """Return what `process smooth --json` prints; the keys are fixed."""
     return {name: getattr(motion, name) for name in HEADER} | {
         "sticks": len(motion.sticks),
@@ -67,7 +67,7 @@ def run_as_json(motion: Kinematics) -> dict[str, Any]:
     }
 
 
-def list_warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
+def list_warnings(motion: SmoothingSummary) -> list[str]:
     """Return what a person should know before using the motion."""
     messages = []
     if motion.lost_counts:
@@ -91,7 +91,7 @@ def list_warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
     return messages + [finding.text for finding in motion.findings]
 
 
-def format_sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) -> list[str]:
+def format_sentences(motion: SmoothingSummary, *, chosen: bool = False) -> list[str]:
     """Return how the motion was computed and its findings; ``chosen``: the window was chosen automatically."""
     method_text = METHOD_NAMES[motion.method]
     if motion.method == "sg":

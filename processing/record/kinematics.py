@@ -1,7 +1,7 @@
 """The motion of a run: position, velocity and acceleration with errors, and where the mass stuck and slipped.
 
 `processing.smoothing` makes a `Kinematics` of a recording, `processing.stage` keeps it in the run file.  How it was
-made is a `SmoothingHeader`; a record too long for memory yields a `SmoothingSummary`, which has no arrays.
+made is a `SmoothingSummary`, which is all that a record too long for memory yields: it has no arrays.
 """
 
 import math
@@ -33,7 +33,7 @@ DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SmoothingHeader:
+class SmoothingSummary:
     """How a motion was computed, and its sticks, slips and faults.
 
     Attributes
@@ -69,6 +69,14 @@ class SmoothingHeader:
         Contradictions and faults that the record shows.
     cpu_s : float
         CPU time spent, s.
+    samples : int
+        Number of samples.
+    span : float
+        Time from the first sample to the last, s.
+    unit : str
+        Unit of the position: "m" or "count".
+    belt_counted : bool
+        Whether the belt has an encoder.
     plateau_speed : float
         m/s: common speed of the plateaus, whatever the belt's nominal speed; NaN without plateaus, or when the
         motion was read back from a file.
@@ -92,6 +100,10 @@ class SmoothingHeader:
     noise: float
     findings: tuple[Finding, ...] = ()
     cpu_s: float
+    samples: int
+    span: float
+    unit: str
+    belt_counted: bool = False
     plateau_speed: float = math.nan
     model: Mapping[str, Any] = field(default_factory=dict)
 
@@ -102,6 +114,11 @@ class SmoothingHeader:
     @property
     def slips(self) -> tuple[Phase, ...]:
         return tuple(phase for phase in self.phases if phase.kind == "slip")
+
+    @property
+    def plateau_fraction(self) -> float:
+        """Share of the samples in sticks, 0 to 1."""
+        return sum(stick.last - stick.first + 1 for stick in self.sticks) / self.samples
 
     @property
     def spikes(self) -> int:
@@ -120,18 +137,7 @@ class SmoothingHeader:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SmoothingSummary(SmoothingHeader):
-    """A motion that was written block by block into its run file."""
-
-    samples: int
-    span: float  # from the first sample to the last, s
-    unit: str  # of the position: "m" or "count"
-    plateau_fraction: float  # share of the samples in sticks, 0 to 1
-    belt_counted: bool = False  # whether the belt has an encoder
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Kinematics(SmoothingHeader):
+class Kinematics(SmoothingSummary):
     """The motion estimated from a recording; every array has shape (n,).
 
     Attributes
@@ -170,27 +176,9 @@ class Kinematics(SmoothingHeader):
         return mask_ranges(self.faults, self.samples)
 
     @property
-    def belt_counted(self) -> bool:
-        return self.belt_velocity is not None
-
-    @property
-    def samples(self) -> int:
-        return int(self.time.size)
-
-    @property
     def even_times(self) -> bool:
         """Whether the times lie on an even grid, which hides missing frames."""
         return is_even(self.time)
-
-    @property
-    def span(self) -> float:
-        """Time from the first sample to the last, s."""
-        return float(self.time[-1] - self.time[0])
-
-    @property
-    def unit(self) -> str:
-        """Unit of the position: "m" or "count"."""
-        return self.recording.unit
 
     @cached_property
     def offset(self) -> Array:
@@ -210,11 +198,6 @@ class Kinematics(SmoothingHeader):
         if self.repaired:
             recorded = recorded - self.offset
         return np.where(self.missing, self.position, recorded) if self.faults else recorded
-
-    @property
-    def plateau_fraction(self) -> float:
-        """Share of the samples in sticks, 0 to 1."""
-        return float(self.stick.mean()) if self.stick.size else 0.0
 
     @cached_property
     def cycles(self) -> tuple[slice, ...]:
