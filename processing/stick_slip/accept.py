@@ -26,7 +26,6 @@ from stickslip.compute.arrays import Array, Integers, Mask
 
 # Of ln n, for each corner: the BIC penalty of its three parameters, (ln n)/2 each (Schwarz, Ann. Stat. 6 (1978) 461).
 BIC_FACTOR = 1.5
-WIDTHS = 1.0, 0.25  # of the successive searches for the corners of sticks on an uneven belt
 FEW = 1 / 6  # largest share of odd sticks (a tap splits one in two)
 
 Span = tuple[float, float]
@@ -70,7 +69,7 @@ def learn_gate(
     sticks = group_by_stick(times)
     if not sticks:
         return []
-    snap = reestimate_noise(series, workspace, times, null_model(levels), 3, null_model=True)
+    snap = reestimate_noise(series, workspace, times, null_model(levels), 1, null_model=True)
     gate = Gate(jerk, snap, uneven=None, lenient=False)
     evidence = before = StickEvidence.of(series, workspace, times, levels, gate, needed)
     if levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP] or evidence.in_doubt.any():
@@ -78,14 +77,12 @@ def learn_gate(
             levels, mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
         )
         ride_times = _label_as_rides(corners)
-        for width in WIDTHS:
-            riding = reestimate_noise(series, workspace, ride_times, riding, 2)
-            ride_times = _refine_rides(series, workspace, ride_times, riding, width)
+        riding = reestimate_noise(series, workspace, ride_times, riding, 2)
+        ride_times = _refine_rides(series, workspace, ride_times, riding)
         riding = reestimate_noise(series, workspace, ride_times, riding, 2)
         gate = replace(gate, uneven=riding)
         evidence = evidence.add_rides(series, workspace, ride_times, riding)
         levels = riding if evidence.ridden.all() else merge_levels(levels, riding)
-    odd = find_odd_spans(series, times, sticks, evidence.gained < 0)
     gate = replace(gate, lenient=bool(evidence.in_doubt.mean() < 1 / 3))
     dropped = evidence.find_rejected(lenient=gate.lenient)
     if dropped.mean() > 1 / 3:
@@ -100,9 +97,8 @@ def learn_gate(
             levels = reestimate_noise(series, workspace, times, levels, 2)
             times = refine_switching_times(series, workspace, times, levels, 0.25)
         likelihood = _sum_likelihood(series, times, levels, workspace, evidence.spans)
-        likelihood = _improve_rounding(series, times, levels, workspace, evidence.spans, likelihood)
     # The gain of the remaining sticks must not be lost where others were dropped.
-    return (times, levels, gate, before) if likelihood[-1] - evidence.null[-1] > needed * times.time.size else odd
+    return (times, levels, gate, before) if likelihood[-1] - evidence.null[-1] > needed * times.time.size else []
 
 
 def accept_sticks(
@@ -126,21 +122,13 @@ def accept_sticks(
         return times
     evidence = evidence or StickEvidence.of(series, workspace, times, even, gate, needed)
     if gate.uneven is not None:
-        ride_times = _label_as_rides(corners)
-        for width in WIDTHS:
-            ride_times = _refine_rides(series, workspace, ride_times, gate.uneven, width)
+        ride_times = _refine_rides(series, workspace, _label_as_rides(corners), gate.uneven)
         evidence = evidence.add_rides(series, workspace, ride_times, gate.uneven)
     dropped = evidence.find_rejected(lenient=gate.lenient)
     misfit = dropped & evidence.long
     if misfit.any():
         return find_odd_spans(series, evidence.times, sticks, misfit, few=math.inf)
     rebuilt = _rebuild_times(series, evidence.times, sticks, dropped, evidence.ridden)
-    if dropped.any():
-        gains = _sum_likelihood(series, rebuilt, levels, workspace, evidence.spans)
-        gains = _improve_rounding(series, rebuilt, levels, workspace, evidence.spans, gains)
-        hopeless = dropped & (gains < evidence.null - needed)[:-1]
-        if hopeless.any():
-            return find_odd_spans(series, evidence.times, sticks, hopeless, few=math.inf)
     return rebuilt if gate.uneven is None else refine_switching_times(series, workspace, rebuilt, levels, 0.25)
 
 
@@ -169,21 +157,10 @@ class StickEvidence:
         sticks = group_by_stick(times)
         spans = span_sticks(series, times, sticks)
         bare = drop_corners(times, np.ones(times.time.size, bool))
-        jerk, snap = (
-            _sum_jerk_likelihood(series, gate.jerk, workspace, spans),
-            _sum_likelihood(series, bare, gate.snap, workspace, spans),
-        )
-        null = np.maximum(jerk, snap)
+        jerk = _sum_jerk_likelihood(series, gate.jerk, workspace, spans)
+        null = np.maximum(jerk, _sum_likelihood(series, bare, gate.snap, workspace, spans))
         even = _sum_likelihood(series, times, levels, workspace, spans)
-        evidence = cls(times, sticks, spans, even, null, np.full(even.size, -np.inf), needed)
-        in_doubt = evidence.in_doubt
-        if not in_doubt.any():
-            return evidence
-        improved = np.where(
-            np.append(in_doubt, True), _improve_rounding(series, times, levels, workspace, spans, even), even
-        )
-        improved[-1] = even[-1] + (improved - even)[:-1].sum()
-        return replace(evidence, even=improved)
+        return cls(times, sticks, spans, even, null, np.full(even.size, -np.inf), needed)
 
     def add_rides(
         self, series: Series, workspace: Workspace, ride_times: SwitchingTimes, levels: NoiseLevels
@@ -225,11 +202,9 @@ def _label_as_rides(corners: PlacedCorners) -> SwitchingTimes:
     return _copy_rest_and_kicks(corners.times, replace(first, kind=kinds, first=firsts))
 
 
-def _refine_rides(
-    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, width: float
-) -> SwitchingTimes:
+def _refine_rides(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> SwitchingTimes:
     """Refine the corners of sticks on an uneven belt, but not those of rest, which the uneven motion would move."""
-    return _copy_rest_and_kicks(times, refine_switching_times(series, workspace, times, levels, width))
+    return _copy_rest_and_kicks(times, refine_switching_times(series, workspace, times, levels, 1.0))
 
 
 def _copy_rest_and_kicks(source: SwitchingTimes, times: SwitchingTimes) -> SwitchingTimes:
@@ -253,7 +228,9 @@ def _copy_stick_times(times: SwitchingTimes, source: SwitchingTimes, sticks: lis
 
 def stick_misfits(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> Array:
     """Return the mean square innovation of each stick over the median of all, with the reading noise of a slip."""
-    levels = _share_reading_variance(levels)
+    reading = levels.reading_variance.copy()
+    reading[STICK] = reading[SLIP]
+    levels = replace(levels, reading_variance=reading)
     squares = np.zeros(series.time.size)
     for stretch in split_stretches(series, times):
         squares[stretch.samples] = _square_innovations(filter_stretch(series, times, levels, stretch, workspace)[1])
@@ -289,26 +266,6 @@ def _sum_likelihood(
         stored = filter_stretch(series, times, levels, stretch, workspace)[1]
         gain[stretch.samples] = _log_likelihood(stored[:, 14:])
     return _sum_spans(gain, spans)
-
-
-def _improve_rounding(
-    series: Series, times: SwitchingTimes, levels: NoiseLevels, workspace: Workspace, spans: Integers, even: Array
-) -> Array:
-    """Return the log likelihoods ``even``, each with the reading variance of sticks or of slips, whichever fits better.
-
-    On a belt that moves a whole number of counts in a sample, most sticks have no rounding error and some half a count
-    at every other sample, so that one variance does not fit both.
-    """
-    more = np.maximum(_sum_likelihood(series, times, _share_reading_variance(levels), workspace, spans) - even, 0.0)
-    more[-1] = more[:-1].sum()
-    return even + more
-
-
-def _share_reading_variance(levels: NoiseLevels) -> NoiseLevels:
-    """Return the levels with the reading variance of slips also in sticks."""
-    reading = levels.reading_variance.copy()
-    reading[STICK] = reading[SLIP]
-    return replace(levels, reading_variance=reading)
 
 
 def _sum_jerk_likelihood(series: Series, noise: white_jerk.Noise, workspace: Workspace, spans: Integers) -> Array:
