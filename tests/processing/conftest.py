@@ -35,6 +35,15 @@ class Motion:
     v: Array
     sticks: tuple[tuple[float, float], ...]
 
+    @property
+    def stuck(self) -> NDArray[np.bool_]:
+        """True within sticks, (n,)."""
+        return np.logical_or.reduce([(self.time > start) & (self.time < end) for start, end in self.sticks])
+
+    def without(self, left_out: NDArray[np.bool_]) -> "Motion":
+        """Return the motion without these samples."""
+        return replace(self, time=self.time[~left_out], x=self.x[~left_out], v=self.v[~left_out])
+
 
 @dataclass(frozen=True, eq=False)
 class PulledRecord:

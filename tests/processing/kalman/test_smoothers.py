@@ -24,20 +24,6 @@ def velocity_error(found, v):
     return float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
 
 
-def near_landings(true, within=0.01):
-    near = np.zeros(true.time.size, bool)
-    for start, _ in true.sticks[1:]:
-        near |= np.abs(true.time - start) < within
-    return near
-
-
-def in_sticks(true):
-    stuck = np.zeros(true.time.size, bool)
-    for start, end in true.sticks:
-        stuck |= (true.time > start) & (true.time < end)
-    return stuck
-
-
 # Pitch, jitter, times, and the limits in mm/s of rms and largest error.
 CLAIMED = [
     (7.67e-6, 30e-6, "recorded", 0.07, 1.8),
@@ -77,9 +63,9 @@ def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
         data = series.from_recording(recorded(true))
         found = registry.estimate("auto", data, Setting())
         error = found.velocity - true.v
-        near = near_landings(true)
+        near = np.abs(true.time[:, None] - [start for start, _ in true.sticks[1:]]).min(axis=1) < 0.01
         assert 1e3 * np.sqrt(np.mean(error[near] ** 2)) < 0.4
-        assert 1e3 * np.sqrt(np.mean(error[in_sticks(true)] ** 2)) < 0.02
+        assert 1e3 * np.sqrt(np.mean(error[true.stuck] ** 2)) < 0.02
         inside = np.abs(error) <= 2 * found.velocity_errors
         covered.append(inside.mean())
         covered_near.append(inside[near].mean())
@@ -143,18 +129,13 @@ def test_landings_are_not_told_late(motion, recorded):
 def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, recorded, make):
     true = motion(make.get("law", 5), 20.0, seed=3, start=make.get("start", 0.0), belt=make.get("belt", 0.22))
     if "swing" in make:
-        true = type(true)(true.time, 0.1 * np.sin(6 * true.time), 0.6 * np.cos(6 * true.time), ())
+        true = replace(true, x=0.1 * np.sin(6 * true.time), v=0.6 * np.cos(6 * true.time))
     if "ride" in make:
-        true = type(true)(true.time, 0.22 * true.time, np.full(true.time.size, 0.22), ())
+        true = replace(true, x=BELT * true.time, v=np.full(true.time.size, BELT))
     if "ripple" in make:
-        size, w = make["ripple"], 2 * np.pi * 3.0
-        own = size * np.sin(w * true.time)
-        x = true.x + np.cumsum(np.where(in_sticks(true), own, 0.0)) * 1e-3
-        true = type(true)(true.time, x, true.v + np.where(in_sticks(true), own, 0.0), true.sticks)
-    kept = np.ones(true.time.size, bool)
-    for at in range(700, kept.size, 2903) if "gap" in make else ():
-        kept[at : at + make["gap"]] = False
-    true = type(true)(true.time[kept], true.x[kept], true.v[kept], true.sticks)
+        own = np.where(true.stuck, make["ripple"] * np.sin(6 * np.pi * true.time), 0.0)
+        true = replace(true, x=true.x + np.cumsum(own) * 1e-3, v=true.v + own)
+    true = true.without((np.arange(true.time.size) - 700) % 2903 < make.get("gap", 0))
     data = series.from_recording(recorded(true))
     plain, default = (registry.estimate(name, data, Setting()) for name in ("rts", "auto"))
     assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]

@@ -41,18 +41,12 @@ def test_shapes_are_kept_and_errors_are_positive(method, time, imported):
             assert (values > 0).all()
 
 
-def test_zero_gives_zero(method, time, imported):
-    motion = run(method, imported(time, np.zeros(time.size)))
-    assert not motion.position.any()
-    assert not motion.velocity.any()
-    assert not motion.acceleration.any()
-
-
-def test_a_straight_line_comes_back_exactly(method, time, imported):
-    motion = run(method, imported(time, 0.3 - 0.22 * time))
-    assert motion.position == pytest.approx(0.3 - 0.22 * time, abs=1e-13)
-    assert motion.velocity == pytest.approx(np.full(time.size, -0.22), abs=1e-9)
-    assert np.abs(motion.acceleration).max() < 1e-6
+@pytest.mark.parametrize(("start", "speed"), [(0.0, 0.0), (0.3, -0.22)])
+def test_a_straight_line_comes_back_exactly_and_zero_as_zero(method, time, imported, start, speed):
+    motion = run(method, imported(time, start + speed * time))
+    assert motion.position == pytest.approx(start + speed * time, abs=1e-13 * bool(start))
+    assert motion.velocity == pytest.approx(np.full(time.size, speed), abs=1e-9 * bool(start))
+    assert np.abs(motion.acceleration).max() <= 1e-6 * bool(start)
 
 
 @pytest.mark.parametrize(("window", "order"), [(7, 3), (31, 4), (41, 6), (51, 12)])
@@ -77,20 +71,16 @@ def test_position_is_told_in_the_recordings_own_coordinates(method, motion, reco
     assert np.abs(found.position - run_.position).max() < 1e-4
 
 
-def test_nothing_crosses_a_gap(method, imported):
-    time = np.concatenate((np.arange(200), 700 + np.arange(200))) * 1e-3
-    step = np.where(time < 0.5, 0.0, 1.0)
-    motion = run(method, imported(time, step), Setting(41, 4) if method == "sg" else None)
+@pytest.mark.parametrize("gap", [500, 0])
+def test_nothing_crosses_a_gap_or_a_segment(method, imported, gap):
+    """Either between two halves that are a metre apart: half a second without samples, or a new segment."""
+    second = np.arange(400) >= 200
+    recording = imported((np.arange(400) + gap * second) * 1e-3, second.astype(float))
+    if not gap:
+        recording = replace(recording, segment=second.astype(np.uint16))
+    motion = run(method, recording, Setting(41, 4) if method == "sg" else None)
     assert np.abs(motion.velocity).max() < 1e-9
-    assert motion.position == pytest.approx(step, abs=1e-12)
-
-
-def test_nothing_crosses_a_segment(method, imported):
-    time = np.arange(400) * 1e-3
-    step = np.where(np.arange(400) < 200, 0.0, 1.0)
-    segment = (np.arange(400) >= 200).astype(np.uint16)
-    motion = run(method, replace(imported(time, step), segment=segment), Setting(41, 4) if method == "sg" else None)
-    assert np.abs(motion.velocity).max() < 1e-9
+    assert motion.position == pytest.approx(second.astype(float), abs=1e-12)
 
 
 def test_a_lone_sample_between_gaps_has_an_unknown_velocity(method, imported):
@@ -102,31 +92,24 @@ def test_a_lone_sample_between_gaps_has_an_unknown_velocity(method, imported):
     assert np.isfinite(motion.velocity_errors[:100]).all()
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_number_that_is_not_finite_is_refused_by_its_index(method, time, imported, bad):
-    position = np.sin(time)
-    position[123] = bad
-    with pytest.raises(InputError, match=r"position is (nan|inf) at sample 123"):
-        run(method, imported(time, position))
-
-
-def test_a_repeated_time_is_refused_by_its_index(method, time, imported):
-    time = time.copy()
-    time[77] = time[76]
-    with pytest.raises(InputError, match="time repeats at sample 77"):
-        run(method, imported(time, np.sin(time)))
-
-
-def test_a_decreasing_time_is_refused_by_its_index(method, time, imported):
-    time = time.copy()
-    time[77] = time[74]
-    with pytest.raises(InputError, match="time decreases at sample 77"):
-        run(method, imported(time, np.sin(time)))
-
-
-def test_too_few_samples_are_refused(method, imported):
-    with pytest.raises(InputError, match="holds 4 samples; smoothing needs 5"):
-        run(method, imported(np.arange(4.0), np.arange(4.0)))
+@pytest.mark.parametrize(
+    ("field", "sample", "value", "message"),
+    [
+        ("position", 123, np.nan, "position is nan at sample 123"),
+        ("position", 123, np.inf, "position is inf at sample 123"),
+        ("time", 77, 0.076, "time repeats at sample 77"),
+        ("time", 77, 0.074, "time decreases at sample 77"),
+        ("time", slice(4, None), None, "holds 4 samples; smoothing needs 5"),
+    ],
+)
+def test_bad_samples_are_refused_by_their_index(method, imported, field, sample, value, message):
+    columns = {"time": np.arange(307) * 1e-3, "position": np.sin(np.arange(307) * 1e-3)}
+    if value is None:
+        columns = {name: np.delete(column, sample) for name, column in columns.items()}
+    else:
+        columns[field][sample] = value
+    with pytest.raises(InputError, match=message):
+        run(method, imported(**columns))
 
 
 def test_the_mirror_image_has_the_mirrored_motion(method, motion, recorded):
