@@ -23,6 +23,14 @@ def path(tmp_path, motion, run_data):
     return target
 
 
+@pytest.fixture
+def saved(path):
+    """Return a run file with its stage, and the motion that was saved."""
+    made = smooth(daq.load(path))
+    stage.save(made, path)
+    return path, made
+
+
 def raw_bytes(path):
     with h5py.File(path) as file:
         found = {}
@@ -71,17 +79,15 @@ def test_a_part_of_a_run_is_smoothed_and_read_back(path):
     assert np.array_equal(stage.load(path).velocity, found.velocity)
 
 
-def test_noise_of_a_stage_written_before_it_was_kept_is_estimated_again(path):
-    made = smooth(daq.load(path))
-    stage.save(made, path)
+def test_noise_of_a_stage_written_before_it_was_kept_is_estimated_again(saved):
+    path, made = saved
     with h5py.File(path, "r+") as file:
         del file["entry/smooth/parameters/noise"]
     assert stage.load(path).noise == made.noise
 
 
-def test_the_statistics_are_stored_with_units_and_computed_for_an_older_stage(path):
-    made = smooth(daq.load(path))
-    stage.save(made, path)
+def test_the_statistics_are_stored_with_units_and_computed_for_an_older_stage(saved):
+    path, made = saved
     expected = from_kinematics(made).as_json()
     stored = stage.load_statistics(path)
     assert repr(stored.as_json()) == repr(expected)
@@ -123,40 +129,31 @@ def test_unknown_numbers_survive_the_file(tmp_path, imported, path, run_data, mo
     assert found.phases == ()
 
 
-def test_xarray_reads_kinematics_with_a_time_coordinate(path):
-    made = smooth(daq.load(path))
-    stage.save(made, path)
-    with xarray.open_dataset(path, engine="h5netcdf", group="entry/smooth/kinematics") as table:
-        assert table["velocity"].dims == ("time",)
-        assert np.array_equal(table["time"].values, made.time)
-        assert np.array_equal(table["velocity"].values, made.velocity)
-        assert table["velocity"].attrs["units"] == "m/s"
-        assert table["velocity_errors"].dtype == np.float32
-
-
-def test_xarray_opens_the_default_plot_and_the_whole_tree(path):
-    """Both used to end in KeyError 'time': the linked fields had their dimension scale in another group."""
-    made = smooth(daq.load(path))
-    stage.save(made, path)
-    with xarray.open_dataset(path, engine="h5netcdf", group="entry/smooth/phase_portrait") as portrait:
-        assert portrait["velocity"].dims == ("time",)
-        assert np.array_equal(portrait["position"].values, made.position)
-        assert np.array_equal(portrait["time"].values, made.time)
+def test_xarray_reads_the_kinematics_the_default_plot_and_the_whole_tree(saved):
+    """Plot and tree ended in KeyError 'time': the linked fields had their dimension scale in another group."""
+    path, made = saved
+    for group, name in (("kinematics", "velocity"), ("phase_portrait", "velocity"), ("phase_portrait", "position")):
+        with xarray.open_dataset(path, engine="h5netcdf", group=f"entry/smooth/{group}") as table:
+            assert table[name].dims == ("time",)
+            assert np.array_equal(table["time"].values, made.time)
+            assert np.array_equal(table[name].values, getattr(made, name))
+            if group == "kinematics":
+                assert table["velocity"].attrs["units"] == "m/s"
+                assert table["velocity_errors"].dtype == np.float32
     with xarray.open_datatree(path, engine="h5netcdf", phony_dims="sort") as tree:
         assert np.array_equal(tree["entry/smooth/phase_portrait/velocity"].values, made.velocity)
 
 
-def test_the_default_plot_is_the_phase_portrait_by_hard_links(path):
-    stage.save(smooth(daq.load(path)), path)
-    with h5py.File(path) as file:
+def test_the_default_plot_is_the_phase_portrait_by_hard_links(saved):
+    with h5py.File(saved[0]) as file:
         entry = file["entry"]
         portrait = entry[entry.attrs["default"]][entry["smooth"].attrs["default"]]
         assert (portrait.attrs["signal"], portrait.attrs["axes"]) == ("velocity", "position")
         assert portrait["velocity"] == entry["smooth/kinematics/velocity"]
 
 
-def test_every_field_written_is_in_the_tree(path):
-    stage.save(smooth(daq.load(path)), path)
+def test_every_field_written_is_in_the_tree(saved):
+    path, _ = saved
     with h5py.File(path) as file:
         written = []
         file["entry"].visititems(lambda name, item: written.append(name) if isinstance(item, h5py.Dataset) else None)
@@ -165,8 +162,8 @@ def test_every_field_written_is_in_the_tree(path):
     assert of_stage <= {row.path for row in stage.TREE}
 
 
-def test_a_stage_made_from_other_raw_data_is_refused(path):
-    stage.save(smooth(daq.load(path)), path)
+def test_a_stage_made_from_other_raw_data_is_refused(saved):
+    path, _ = saved
     with h5py.File(path, "r+") as file:
         del file["entry/smooth/parameters/sha256_input"]
         file["entry/smooth/parameters/sha256_input"] = "0" * 64
@@ -211,8 +208,8 @@ def test_a_stored_model_smooths_the_run_again_without_learning(
     assert len(made.faults) >= 0.9 * spikes
 
 
-def test_every_float_of_a_stored_model_has_units(path):
-    stage.save(smooth(daq.load(path)), path)
+def test_every_float_of_a_stored_model_has_units(saved):
+    path, _ = saved
     floats = []
     with h5py.File(path) as file:
         file["entry/smooth/model"].visititems(
