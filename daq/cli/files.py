@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import cyclopts
 from cyclopts import Parameter
 
 from daq.cli import sentences
@@ -19,14 +18,6 @@ if TYPE_CHECKING:
     from daq.runfile.rig import Rig
 
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], help="Run file to write.")]
-
-
-def register(app: cyclopts.App) -> None:
-    """Add these commands to the `daq` application."""
-    app.command(import_table, name="import")
-    app.command(replay)
-    app.command(decode)
-    app.command(export)
 
 
 def import_table(
