@@ -10,12 +10,11 @@ period, and a net count is split into its rises and falls, so that everything af
 frames.
 """
 
-import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from enum import IntFlag
 from itertools import chain
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +30,6 @@ from daq.wire.splitter import Splitter
 from stickslip.compute import arrays
 
 BLOCK_BYTES = 1 << 16  # reads that are parsed at once: fewer cost 10 % more CPU time
-# Lines from which they are read together: reads of 10 lines gain, and those with every tenth line damaged do not lose.
-FEWEST_ALIKE = 8
 CLOCK_LINES = 4096  # lines from which a clock is known to be coarse: 4 s at 1 kHz
 
 
@@ -49,23 +46,7 @@ class NoSample(IntFlag):
 Row = tuple[int, ...]
 
 
-class Parser(Protocol):
-    """Parses the lines of one stream: any line with `read`, and similar ones together."""
-
-    @property
-    def alike(self) -> re.Pattern[bytes] | None:
-        """Pattern of any number of whole lines, delimiters included; None: no lines are read together.
-
-        `read` must parse each of these lines as a sample unless a value is out of its range, and keep its state.
-        """
-
-    def read(self, line: bytes) -> Row | NoSample: ...
-
-    def read_alike(self, lines: bytes) -> NDArray[np.int64]:
-        """Return the values in n lines that match ``alike``, (n, k), up to the first line with one out of range."""
-
-    def count_miss(self) -> None:
-        """Count a search that found no similar lines; the next one may choose another pattern."""
+Parser = Callable[[bytes], Row | NoSample]  # of a line without its delimiter
 
 
 class LineBatch(NamedTuple):
@@ -86,12 +67,12 @@ class LineReader:
     example: The last damaged line; the first one of a stream may only be cut.
     """
 
-    def __init__(self, delimiter: bytes, longest: int, parser: Parser, *, trusts_first: bool) -> None:
+    def __init__(self, delimiter: bytes, longest: int, parse: Parser, *, trusts_first: bool) -> None:
         self.delimiter = delimiter
         self.example = b""
         self._splitter = Splitter(delimiter, longest)
         self._longest = longest
-        self._parser = parser
+        self._parse = parse
         self._trusts_first = trusts_first
         self._first = True
         self._damaged_bytes = 0
@@ -103,62 +84,23 @@ class LineReader:
 
     def feed(self, data: bytes) -> LineBatch:
         """Return the samples in the lines that the bytes complete."""
-        block = self._splitter.cut_lines(data)
-        lines = block.count(self.delimiter)
+        lines = self._splitter.feed(data)
         values, numbers = array("q"), array("q")
         others: list[tuple[int, NoSample]] = []
-        position = line = 0
-        while line < lines:
-            n_single = lines - line  # lines to be read one by one
-            if self._first and not self._trusts_first:
-                n_single = 1
-            elif n_single >= FEWEST_ALIKE:
-                rows, position, n_single = self._read_alike(block, position)
-                self._first = self._first and not len(rows)
-                if len(rows) == lines:
-                    return LineBatch(rows, np.arange(lines), others, lines)
-                values.frombytes(rows.tobytes())
-                numbers.frombytes(np.arange(line, line + len(rows)).tobytes())
-                line += len(rows)
-                n_single = min(n_single, lines - line)
-            end = position
-            for _ in range(n_single):
-                end = block.index(self.delimiter, end) + 1
-            for text in block[position:end].split(self.delimiter)[:n_single]:
-                item = self._parser.read(text) if len(text) <= self._longest else NoSample.DAMAGED
-                if isinstance(item, tuple):
-                    if self._trusts_first or not self._first:
-                        values.extend(item)
-                        numbers.append(line)
-                elif item:
-                    if NoSample.DAMAGED in item:
-                        self.example = text
-                        self._damaged_bytes += len(text)
-                    others.append((len(numbers), item & ~NoSample.DAMAGED if self._first else item))
-                self._first = False
-                line += 1
-            position = end
+        for number, line in enumerate(lines):
+            item = self._parse(line) if len(line) <= self._longest else NoSample.DAMAGED
+            if isinstance(item, tuple):
+                if self._trusts_first or not self._first:
+                    values.extend(item)
+                    numbers.append(number)
+            elif item:
+                if NoSample.DAMAGED in item:
+                    self.example = line
+                    self._damaged_bytes += len(line)
+                others.append((len(numbers), item & ~NoSample.DAMAGED if self._first else item))
+            self._first = False
         rows = np.array(values).reshape(len(numbers), -1) if numbers else np.empty((0, 1), dtype=np.int64)
-        return LineBatch(rows, np.array(numbers), others, lines)
-
-    def _read_alike(self, block: bytes, begin: int) -> tuple[NDArray[np.int64], int, int]:
-        """Return the values in the similar lines from a position in a block on, (n, k), and where these lines end.
-
-        The last value is how many lines from there on are to be read one by one before similar ones are searched for.
-        """
-        no_rows = np.empty((0, 1), dtype=np.int64)
-        match = None if self._parser.alike is None else self._parser.alike.match(block, begin)
-        lines = 0 if match is None else block.count(self.delimiter, begin, match.end())
-        if match is None or lines < FEWEST_ALIKE:
-            self._parser.count_miss()
-            return no_rows, begin, FEWEST_ALIKE if self._parser.alike is None else lines + 1
-        rows = self._parser.read_alike(match[0])
-        end = match.end()
-        if len(rows) < lines:
-            end = begin
-            for _ in range(len(rows)):
-                end = block.index(self.delimiter, end) + 1
-        return rows, end, 1
+        return LineBatch(rows, np.array(numbers), others, len(lines))
 
 
 class LineTally(Tally):

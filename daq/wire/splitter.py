@@ -23,11 +23,8 @@ class Splitter:
     def pending_bytes(self) -> int:
         return len(self._tail)
 
-    def cut_lines(self, data: bytes) -> bytes:
-        """Return the lines that the bytes complete, in order, each with its delimiter.
-
-        A line that is too long has one, too, where it is cut.
-        """
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the lines that the bytes complete, in order, empty ones too, without delimiters."""
         joined = self._tail + data
         end = joined.rfind(self._delimiter) + 1
         block, self._tail = joined[:end], joined[end:]
@@ -42,10 +39,6 @@ class Splitter:
             block += self._tail + self._delimiter
             self._tail = b""
             self._dropping = True
-        return block
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Return the lines that the bytes complete, in order, empty ones too, without delimiters."""
-        lines = self.cut_lines(data).split(self._delimiter)
+        lines = block.split(self._delimiter)
         lines.pop()
         return lines

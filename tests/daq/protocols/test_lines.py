@@ -5,13 +5,13 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from daq import protocols
 from daq.protocols import neighbours, qsb, text
 from daq.protocols import session as session_module
-from daq.protocols.line_parser import LineParser
+from daq.protocols.columns import LineParser
 from daq.protocols.lines import NoSample
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan, decode_whole
@@ -378,62 +378,6 @@ SHAPES = {
     "t_s,-,count": lambda k: b"%d.%06d %s %d\n" % (*divmod(2000 * k, 10**6), b"x=%d" % (k % 3), int(motion(k))),
     "t_us,count,xor": checked_line,
 }
-
-
-class OneByOne:
-    """Hides from a reader that lines may be read together."""
-
-    alike = None
-
-    def __init__(self, parser):
-        self.read, self.count_miss = parser.read, parser.count_miss
-
-
-ALIKE = SHAPES | {
-    "t_us,count:16": lambda k: b"us: %d, count: %d, temp: %d.5 v2=7\n" % (2000 * k, motion(k) % 2**15, k % 9 - 4),
-    "t_us,-,up,down": lambda k: b"%d;%s;%d;%d\r\n" % (k, b"-77.4" if k // 40 % 2 else b"x3=ab", 3 * k, k),
-    "ms,-,count": lambda k: b"%*d %d.%0*d %d\n" % (6, k, -k % 3, 1 + k // 50 % 8, k % 7, -k),  # no sign but in count
-}
-
-
-@settings(max_examples=25)
-@given(st.integers(0, 2**32), st.sampled_from([0.0, 0.003, 0.03, 0.3]), st.lists(st.integers(1, 3000), min_size=1))
-@pytest.mark.parametrize("declared", [*ALIKE, "qsb", "qsb, spaces"])
-def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, share, cuts):
-    if declared.startswith("qsb"):
-        line = qsb_line if declared == "qsb" else lambda k: b"s 0E %08x %08X !\r\n" % (k, 2**32 - 1 - k)
-        fast, slow = qsb.make_reader(), qsb.make_reader()
-    else:
-        line, (fast, slow) = ALIKE[declared], (text.make_reader(text.parse_columns(declared)) for _ in range(2))
-    slow._parser = OneByOne(slow._parser)
-    lines, _ = damaged([line(k) for k in range(seed % 7, 400)], seed, share)
-    data = b"7" * (seed % 300) + b"".join(lines)
-    whole = slow.feed(data)
-    rows, numbers, others, lines, at = [], [], [], 0, 0
-    while at < len(data):
-        for size in cuts:
-            batch = fast.feed(data[at : at + size])
-            others += [(len(rows) + behind, other) for behind, other in batch.others]
-            numbers += (lines + batch.line).tolist()
-            rows += batch.rows.tolist()
-            lines += batch.lines
-            at += size
-    assert (rows, others) == (whole.rows.tolist(), whole.others)
-    assert (numbers, lines) == (whole.line.tolist(), whole.lines)
-    assert fast.discarded_bytes == slow.discarded_bytes
-
-
-@pytest.mark.parametrize("declared", [*ALIKE, None, "qsb"])
-def test_sound_lines_are_read_together(declared, monkeypatch):
-    """Each line used to be matched and converted by itself: 3 us a sample."""
-    line = qsb_line if declared == "qsb" else ALIKE[declared or "t_us,count:16"]
-    reader = qsb.make_reader() if declared == "qsb" else text.make_reader(text.parse_columns(declared))
-    taken = []
-    read = type(reader._parser).read
-    monkeypatch.setattr(type(reader._parser), "read", lambda self, line: taken.append(line) or read(self, line))
-    batch = reader.feed(b"".join(map(line, range(39))))
-    assert len(batch.rows) >= 38
-    assert len(taken) <= 18
 
 
 @pytest.mark.parametrize("declared", SHAPES)
