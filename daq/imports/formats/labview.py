@@ -17,6 +17,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from daq.imports import layout, source
 from daq.imports.table import Table
 from stickslip.errors import InputError
@@ -90,7 +92,8 @@ def read(path: Path, text: str) -> Table:
         numbers += segment.lines
     recorded = " ".join(header.get(tag, [""])[0].strip() for tag in ("Date", "Time")).strip()
     header_line = first.lines[0] - 1
-    cells = Table(path, tuple(names), rows, numbers, len(names), separator, decimal, header_line, "LabVIEW", recorded)
+    lines_of_rows, width = np.array(numbers, np.int32), len(names)
+    cells = Table(path, tuple(names), rows, lines_of_rows, width, separator, decimal, header_line, "LabVIEW", recorded)
     return replace(cells, clocks=tuple(clocks), starts=tuple(starts) or (0,))
 
 

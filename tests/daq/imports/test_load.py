@@ -1,7 +1,10 @@
 """`daq.load` reads what `daq import` reads, in memory; its keywords are the flags."""
 
 import json
+import math
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -90,3 +93,21 @@ def test_the_date_of_an_imported_file_is_said_to_be_that(table, tmp_path, capsys
 def test_a_run_file_takes_no_options_of_tables():
     with pytest.raises(InputError, match=r"mass= is for tables, and this is a run file; .* fitting.rank"):
         daq.load(SAMPLES / "law5.h5", mass=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak of a process's memory is in kB on Linux")
+def test_an_hour_at_1_khz_takes_300_mb(tmp_path):
+    # Every cell was a string of its own: 2085 MB.
+    track = tmp_path / "track.csv"
+    with track.open("w") as file:
+        file.write("t (s),x (mm)\n")
+        file.writelines(f"{k / 1000:.3f},{20 * math.sin(0.004 * k):.4f}\n" for k in range(3_600_000))
+    measure = (
+        "import resource, sys, daq; samples = daq.load(sys.argv[1]).time.size;"
+        "print(samples, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)"
+    )
+    done = subprocess.run([sys.executable, "-c", measure, str(track)], capture_output=True, text=True, check=True)
+    samples, peak = map(int, done.stdout.split())
+    assert samples == 3_600_000
+    assert peak < 300

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.cli import files
+from daq.cli.app import app as commands
 from daq.imports import capture, replay, sigrok
 from daq.imports.options import ProbeOptions
 from daq.runfile import journal, store
@@ -31,9 +31,7 @@ CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\ndatum = 0.001\n
 
 @pytest.fixture
 def app() -> cyclopts.App:
-    made = application.application("daq", "files", "daq replay")
-    files.register(made)
-    return made
+    return commands
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq.cli import files
+from daq.cli.app import app as commands
 from daq.imports import capture, sigrok
 from daq.imports.options import ProbeOptions
 from daq.wire.quadrature import GRAY
@@ -208,9 +208,7 @@ def test_a_motion_controller_steps_there_and_back(captures: Path, step: str, dir
 
 @pytest.fixture
 def app() -> cyclopts.App:
-    made = application.application("daq", "files", "daq decode")
-    files.register(made)
-    return made
+    return commands
 
 
 def test_the_command_answers_in_json(

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from daq.cli import files
+from daq.cli.app import app as commands
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
@@ -21,9 +21,7 @@ N = 101
 
 @pytest.fixture
 def app() -> cyclopts.App:
-    made = application.application("daq", "files", "daq export")
-    files.register(made)
-    return made
+    return commands
 
 
 @pytest.fixture
