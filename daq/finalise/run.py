@@ -144,7 +144,9 @@ def _gather_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]]
     columns = {name: Column(spill) for name in ("time", "position", "segment", *(["count"] if counted else []))}
     totals, events = DataTotals(), RunEvents(markers, float(header["rate_hz"]))
     clock = PartClock(0, None, by_bytes=False, spill=spill)
-    for piece, checked, values in blocks.read_pieces(recorded):
+    stream = blocks.BlockStream(header)
+    for record in recorded.records.of_kind(journal.RECEIVED):
+        piece, checked, values = stream.take(record.stamp_ns, record.data)
         position = positions(checked.count, rig) if counted else values.astype(np.float64)
         values_of = {"time": piece.samples.time, "position": position, **vars(checked)}
         for name, column in columns.items():
