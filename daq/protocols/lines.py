@@ -27,9 +27,7 @@ from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, wrap_signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
-from stickslip.compute import arrays
 
-BLOCK_BYTES = 1 << 16  # reads that are parsed at once: fewer cost 10 % more CPU time
 CLOCK_LINES = 4096  # lines from which a clock is known to be coarse: 4 s at 1 kHz
 
 
@@ -50,12 +48,10 @@ Parser = Callable[[bytes], Row | NoSample]  # of a line without its delimiter
 
 
 class LineBatch(NamedTuple):
-    """The n samples in some bytes, which have m lines."""
+    """The n samples in some bytes."""
 
     rows: NDArray[np.int64]  # (n, k) values: `Row`
-    line: NDArray[np.int64]  # (n,) the line of each
     others: list[tuple[int, NoSample]]  # damage and starts, each with the number of samples before it
-    lines: int  # m
 
 
 class LineReader:
@@ -68,7 +64,6 @@ class LineReader:
     """
 
     def __init__(self, delimiter: bytes, longest: int, parse: Parser, *, trusts_first: bool) -> None:
-        self.delimiter = delimiter
         self.example = b""
         self._splitter = Splitter(delimiter, longest)
         self._longest = longest
@@ -84,23 +79,21 @@ class LineReader:
 
     def feed(self, data: bytes) -> LineBatch:
         """Return the samples in the lines that the bytes complete."""
-        lines = self._splitter.feed(data)
-        values, numbers = array("q"), array("q")
+        values, n = array("q"), 0
         others: list[tuple[int, NoSample]] = []
-        for number, line in enumerate(lines):
+        for line in self._splitter.feed(data):
             item = self._parse(line) if len(line) <= self._longest else NoSample.DAMAGED
             if isinstance(item, tuple):
                 if self._trusts_first or not self._first:
                     values.extend(item)
-                    numbers.append(number)
+                    n += 1
             elif item:
                 if NoSample.DAMAGED in item:
                     self.example = line
                     self._damaged_bytes += len(line)
-                others.append((len(numbers), item & ~NoSample.DAMAGED if self._first else item))
+                others.append((n, item & ~NoSample.DAMAGED if self._first else item))
             self._first = False
-        rows = np.array(values).reshape(len(numbers), -1) if numbers else np.empty((0, 1), dtype=np.int64)
-        return LineBatch(rows, np.array(numbers), others, len(lines))
+        return LineBatch(np.array(values).reshape(n, -1) if n else np.empty((0, 1), dtype=np.int64), others)
 
 
 class LineTally(Tally):
@@ -225,48 +218,38 @@ class _LinePiece(NamedTuple):
 
 def _read_pieces(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_bytes: float) -> Iterator[_LinePiece]:
     notes = GapNotes()
-    parts: list[Lines] = []
-    ends: list[tuple[int, int]] = []  # of each read since the last block: its stamp, and how many lines end in it
-    block = bytearray()
-    bytes_taken = discarded = 0
-    cut_lines = 0  # 1 while an endless line is cut that no read has ended yet
+    rows: list[NDArray[np.int64]] = []
+    others: list[tuple[int, NoSample]] = []
+    stamps: list[tuple[int, int]] = []  # of each read: its stamp, and how many samples end in it
+    n = bytes_taken = discarded = 0
 
-    def parse_block() -> Lines:
-        nonlocal cut_lines
-        batch = reader.feed(bytes(block))
-        stamps = np.repeat(*np.array(ends, dtype=np.int64).reshape(-1, 2).T)
-        n = len(batch.line)
+    def build_piece(*, last: bool) -> _LinePiece:
         fresh, damaged = np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.int64)
-        for samples_before, remark in batch.others:
+        for samples_before, remark in others:
             fresh[samples_before] |= NoSample.START in remark
             damaged[samples_before] += NoSample.DAMAGED in remark
-        columns = np.zeros((5, n), dtype=np.int64)
-        columns[: batch.rows.shape[1]] = batch.rows.T
-        line_numbers = batch.line + cut_lines
-        cut_lines += batch.lines - len(stamps)
-        block.clear()
-        ends.clear()
-        ticks, up, down, status, illegal = columns
         fresh, damaged = notes.carry_over(fresh, damaged)
-        return Lines(
-            ticks, ticks, up, down, status, illegal, stamps[line_numbers], fresh, damaged, np.zeros_like(ticks)
-        )
+        columns = np.zeros((5, n), dtype=np.int64)
+        if rows:
+            columns[: rows[0].shape[1]] = np.concatenate(rows).T
+        ticks, up, down, status, illegal = columns
+        stamp_ns = np.repeat(*np.array(stamps, dtype=np.int64).reshape(-1, 2).T)
+        lines = Lines(ticks, ticks, up, down, status, illegal, stamp_ns, fresh, damaged, np.zeros_like(ticks))
+        return _LinePiece(lines, notes.damaged, reader.discarded_bytes - discarded, last)
 
     for stamp, read in reads:
-        for begin in range(0, len(read), BLOCK_BYTES):
-            data = read[begin : begin + BLOCK_BYTES]
-            ends.append((stamp, data.count(reader.delimiter)))
-            block += data
-            if len(block) < min(BLOCK_BYTES, most_bytes):
-                continue
-            bytes_taken += len(block)
-            parts.append(parse_block())
-            if bytes_taken >= most_bytes:
-                yield _LinePiece(arrays.joined(parts), notes.damaged, reader.discarded_bytes - discarded, last=False)
-                bytes_taken, discarded = 0, reader.discarded_bytes
-                parts.clear()
-    parts.append(parse_block())
-    yield _LinePiece(arrays.joined(parts), notes.damaged, reader.discarded_bytes - discarded, last=True)
+        batch = reader.feed(read)
+        others += [(n + samples_before, remark) for samples_before, remark in batch.others]
+        if len(batch.rows):
+            rows.append(batch.rows)
+            stamps.append((stamp, len(batch.rows)))
+            n += len(batch.rows)
+        bytes_taken += len(read)
+        if bytes_taken >= most_bytes:
+            yield build_piece(last=False)
+            n, bytes_taken, discarded = 0, 0, reader.discarded_bytes
+            rows, others, stamps = [], [], []
+    yield build_piece(last=True)
 
 
 def _build_stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_bytes: int) -> Stream:
