@@ -70,12 +70,6 @@ class LineReader:
         self._parse = parse
         self._trusts_first = trusts_first
         self._first = True
-        self._damaged_bytes = 0
-
-    @property
-    def discarded_bytes(self) -> int:
-        """Bytes of all damaged lines, without delimiters."""
-        return self._damaged_bytes + self._splitter.dropped_bytes
 
     def feed(self, data: bytes) -> LineBatch:
         """Return the samples in the lines that the bytes complete."""
@@ -90,7 +84,6 @@ class LineReader:
             elif item:
                 if NoSample.DAMAGED in item:
                     self.example = line
-                    self._damaged_bytes += len(line)
                 others.append((n, item & ~NoSample.DAMAGED if self._first else item))
             self._first = False
         return LineBatch(np.array(values).reshape(n, -1) if n else np.empty((0, 1), dtype=np.int64), others)
@@ -200,19 +193,15 @@ def decode_pieces(
         finer = np.count_nonzero(ticks[:CLOCK_LINES] % resolution)
         resolution = 0 if finer > 0.1 * len(ticks[:CLOCK_LINES]) else resolution
     judge = LineJudge(ident.counter_bits, period_ticks, resolution, ident.tick_ns, net=net)
-    discarded = 0  # bytes discarded since the last piece
     for piece in chain(pieces, source):
         lines = judge.feed(piece.lines, piece.last)
-        discarded += piece.discarded_bytes
         if len(lines) or piece.last:
-            yield _build_stream(lines, ident, piece.damaged + judge.damaged if piece.last else 0, discarded)
-            discarded = 0
+            yield _build_stream(lines, ident, piece.damaged + judge.damaged if piece.last else 0)
 
 
 class _LinePiece(NamedTuple):
     lines: Lines  # the lines with samples
     damaged: int  # damaged lines after the last of these
-    discarded_bytes: int  # of these reads; see `LineReader`
     last: bool  # no more reads follow
 
 
@@ -221,7 +210,7 @@ def _read_pieces(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_by
     rows: list[NDArray[np.int64]] = []
     others: list[tuple[int, NoSample]] = []
     stamps: list[tuple[int, int]] = []  # of each read: its stamp, and how many samples end in it
-    n = bytes_taken = discarded = 0
+    n = bytes_taken = 0
 
     def build_piece(*, last: bool) -> _LinePiece:
         fresh, damaged = np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.int64)
@@ -235,7 +224,7 @@ def _read_pieces(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_by
         ticks, up, down, status, illegal = columns
         stamp_ns = np.repeat(*np.array(stamps, dtype=np.int64).reshape(-1, 2).T)
         lines = Lines(ticks, ticks, up, down, status, illegal, stamp_ns, fresh, damaged, np.zeros_like(ticks))
-        return _LinePiece(lines, notes.damaged, reader.discarded_bytes - discarded, last)
+        return _LinePiece(lines, notes.damaged, last)
 
     for stamp, read in reads:
         batch = reader.feed(read)
@@ -247,12 +236,12 @@ def _read_pieces(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_by
         bytes_taken += len(read)
         if bytes_taken >= most_bytes:
             yield build_piece(last=False)
-            n, bytes_taken, discarded = 0, 0, reader.discarded_bytes
+            n = bytes_taken = 0
             rows, others, stamps = [], [], []
     yield build_piece(last=True)
 
 
-def _build_stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_bytes: int) -> Stream:
+def _build_stream(lines: Lines, ident: frames.Ident, damaged: int) -> Stream:
     """Return lines as frames; ``damaged`` lines follow the last of them."""
     n = len(lines)
     wide = ident.counter_bits > 16
@@ -273,6 +262,5 @@ def _build_stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_byt
         time_error=time_ahead(lines.ticks, lines.sent),
         crc_frame=crc_frame,
         crc_errors=len(crc_frame),
-        discarded_bytes=discarded_bytes,
         length=np.zeros(n, dtype=np.int64),
     )

@@ -9,11 +9,9 @@ class Splitter:
 
     delimiter: One byte; it ends a line and is not part of it.
     longest: Bytes of the longest line.
-    dropped_bytes: Bytes of endless lines that were dropped after the line had been returned.
     """
 
     def __init__(self, delimiter: bytes, longest: int) -> None:
-        self.dropped_bytes = 0
         self._delimiter = delimiter
         self._longest = longest
         self._tail = b""
@@ -29,11 +27,9 @@ class Splitter:
         end = joined.rfind(self._delimiter) + 1
         block, self._tail = joined[:end], joined[end:]
         if self._dropping and block:
-            rest, _, block = block.partition(self._delimiter)
-            self.dropped_bytes += len(rest)
+            _, _, block = block.partition(self._delimiter)
             self._dropping = False
         if self._dropping:
-            self.dropped_bytes += len(self._tail)
             self._tail = b""
         elif len(self._tail) > self._longest:
             block += self._tail + self._delimiter
