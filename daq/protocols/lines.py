@@ -146,7 +146,10 @@ class LineTally(Tally):
                 self._odd = 0
                 ahead = wrap_signed(step, 32)
                 self._device += ahead
-                if ahead < 0 or self._has_leapt(ahead):
+                device_s, at_s = self._device * self._tick_s, self._at_s
+                if ahead < 0 or (
+                    at_s is not None and self._least.has_leapt(device_s, at_s - device_s, ahead * self._tick_s)
+                ):
                     self.resets += 1
                     self._least.reset()
                 else:  # a constant time is not a restart
@@ -156,11 +159,6 @@ class LineTally(Tally):
         if self._at_s is not None and lines:
             device_s = self._device * self._tick_s
             self._least.note([device_s], [self._at_s - device_s])
-
-    def _has_leapt(self, ahead: int) -> bool:
-        """Return whether a time that many ticks ahead of the last good one has leapt (`LeastDelay`)."""
-        device_s = self._device * self._tick_s
-        return self._at_s is not None and self._least.has_leapt(device_s, self._at_s - device_s, ahead * self._tick_s)
 
 
 def decode_pieces(
