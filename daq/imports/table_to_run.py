@@ -141,7 +141,9 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         dimension, size, name = read_belt_unit(cells, columns.belt, options.belt_unit)
         belt = values[-1] * size
         plausible.check_range(belt, plausible.FARTHEST_M, cells, columns.belt, "m", "--belt-unit")
-        run = add_belt(run, belt if dimension == "length" else _integrate_speed(time, belt))
+        if dimension == "speed":  # by the trapezoidal rule
+            belt = np.concatenate(([0.0], np.cumsum(0.5 * (belt[1:] + belt[:-1]) * np.diff(time))))
+        run = add_belt(run, belt)
         kind = "position" if dimension == "length" else dimension
         sources["belt"] = f"{cells.label(columns.belt)} in {name}, its {kind}"
     run = _complete_run(options, run, cells, sources, skipped)
@@ -255,11 +257,6 @@ def _choose_measurement(time: Array, cells: table.Table, segment: int | None) ->
     chosen = replace(cells, starts=starts).segment(segment)
     first = int(np.argmax(cells.lines == chosen.lines[0]))
     return time, slice(first, first + len(chosen.lines))
-
-
-def _integrate_speed(time: Array, speed: Array) -> Array:
-    """Return the positions, m, of a belt whose speeds, m/s, were measured: by the trapezoidal rule."""
-    return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
 
 
 def _is_timecode(cells: table.Table, column: int) -> bool:

@@ -171,11 +171,12 @@ def _find_decimal(cells: Sequence[str]) -> str:
 def _name_columns(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[str], list[int | None]]:
     """Return the names of the columns with their units, and of each channel the column with its times."""
     units = segment.tags.get("Y_Unit_Label", [])
-    channels = [(column, name) for column, name in enumerate(segment.names) if name != _COLUMNS]
-    count = len({clock for clock, _ in _assign_clocks(segment, kind, decimal, where)})
+    channels = [name for name in segment.names if name != _COLUMNS]
+    assigned = _assign_clocks(segment, kind, decimal, where)
+    count = len({clock for clock, _ in assigned})
     names = ["Time (s)"] if count == 1 else [f"Time {number + 1} (s)" for number in range(count)]
     clocks: list[int | None] = [None] * count
-    for (_, name), (clock, column) in zip(channels, _assign_clocks(segment, kind, decimal, where), strict=True):
+    for name, (clock, column) in zip(channels, assigned, strict=True):
         unit = units[column] if column < len(units) else ""
         names.append(f"{name} ({unit})" if unit else name)
         clocks.append(clock)
