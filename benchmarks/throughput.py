@@ -21,7 +21,7 @@ from pathlib import Path
 from daq import protocols
 from daq.finalise import run
 from daq.protocols.request import RecordRequest
-from daq.protocols.session import Plan
+from daq.protocols.session import Plan, decode_whole
 from daq.recorder.record import record
 from daq.wire import frames as wire
 
@@ -96,7 +96,7 @@ def decoding() -> list[dict[str, object]]:
                 tally.feed(part)
             least["tally"] = min(least["tally"], time.process_time() - begun)
             begun = time.process_time()
-            stream = backend.decode(reads, header)
+            stream = decode_whole(backend, reads, header)
             least["decode"] = min(least["decode"], time.process_time() - begun)
         rows.append(
             {"protocol": protocol, "block": block, "bytes": len(data) / SAMPLES, "samples": int(stream.n.sum())}

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import cyclopts
 from cyclopts import Parameter
 
 from daq.cli import sentences
@@ -35,12 +34,6 @@ DISTANCE = "Known distance to move the mass towards +x, '100 mm +- 0.1 mm'; '-10
 STRUCK = ("belt.speed=0.0", "friction.Fs=0.05", "start.v=0.6")
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Do not wait for Enter.")]
-
-
-def register(app: cyclopts.App) -> None:
-    """Add check and calibrate to the `daq` application."""
-    app.command(check)
-    app.command(calibrate)
 
 
 def check(

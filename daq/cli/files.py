@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import cyclopts
 from cyclopts import Parameter
 
 from daq.cli import sentences
+from daq.cli.settings import read_text
 from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
 from daq.recorder.notes import NO_NOTES, NoteFlags
 from stickslip.console import application
@@ -19,14 +19,6 @@ if TYPE_CHECKING:
     from daq.runfile.rig import Rig
 
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], help="Run file to write.")]
-
-
-def register(app: cyclopts.App) -> None:
-    """Add these commands to the `daq` application."""
-    app.command(import_table, name="import")
-    app.command(replay)
-    app.command(decode)
-    app.command(export)
 
 
 def import_table(
@@ -111,7 +103,8 @@ def replay(
     target = output or _choose_output(source, kind)
     suffix.check_run(target)
     atomic.refuse_existing(target, force, source)
-    calibration, stated = _read_rig(rig), known.stated()
+    calibration = None if rig is None else Rig.from_toml(read_text(rig, "--rig"), str(rig))
+    stated = known.stated()
     if kind == "capture":
         return _replay_capture(source, target, options, (calibration or Rig()).stating(stated), force)
     for name, value in vars(options).items():
@@ -240,13 +233,3 @@ def _choose_output(source: Path, kind: str) -> Path:
     if kind == "run":
         raise InputError("no output file was given", str(source), "give -o")
     return source.with_suffix("") if source.suffix == ".part" else source.with_suffix(".h5")
-
-
-def _read_rig(path: Path | None) -> "Rig | None":
-    if path is None:
-        return None
-    from daq.runfile.rig import Rig
-
-    if not path.is_file():
-        raise InputError("no such file", str(path), "check --rig")
-    return Rig.from_toml(path.read_text(encoding="utf-8"), str(path))

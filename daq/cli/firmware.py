@@ -15,11 +15,6 @@ DEFAULT_FOLDER = Path("stickslip-firmware")
 SOME_PORT = "COM3" if os.name == "nt" else "/dev/ttyACM0"
 
 
-def register(app: cyclopts.App) -> None:
-    """Add the command to the `daq` application."""
-    app.command(firmware)
-
-
 def firmware(
     *,
     board: Annotated[str, cyclopts.Parameter(help="uno, nano, mega, esp32, pico, pico-micropython or teensy.")],

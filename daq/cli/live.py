@@ -27,11 +27,6 @@ NoBrowser = Annotated[
 ]
 
 
-def register(app: cyclopts.App) -> None:
-    """Add watch to the `daq` application."""
-    app.command(watch)
-
-
 def watch(
     run: Annotated[
         Path, cyclopts.Parameter(name="RUN.h5", help="A run file, or RUN.h5.part: the journal of a running recording.")

@@ -39,12 +39,6 @@ Mark = Annotated[
 ]
 
 
-def register(app: cyclopts.App) -> None:
-    """Add note and list to the `daq` application."""
-    app.command(note)
-    app.command(list_runs, name="list")
-
-
 def note(
     run: Annotated[Path, Parameter(name="RUN.h5", help="The run file.")],
     /,

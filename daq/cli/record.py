@@ -47,13 +47,6 @@ Live = Annotated[
 ]
 
 
-def register(app: cyclopts.App) -> None:
-    """Add record, recover and ports to the `daq` application."""
-    app.command(record)
-    app.command(recover)
-    app.command(ports)
-
-
 def record(
     *,
     duration: Duration = RecordRequest.duration_s,

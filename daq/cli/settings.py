@@ -59,7 +59,7 @@ def resolve(flags: BoardFlags) -> dict[str, Any]:
     user = _read_user_settings()
     named = os.environ.get("STICKSLIP_RIG") or user.get("rig")
     rig = flags.rig or (Path(named) if named else None)
-    text = None if rig is None else _read(rig, "--rig")
+    text = None if rig is None else read_text(rig, "--rig")
     board = {} if text is None else read_board_section(text, str(rig))
     settings = {} if text is None else {"calibration": text}
     for key, kind in KEYS.items():
@@ -96,7 +96,7 @@ def _read_user_settings() -> dict[str, Any]:
     except OSError:  # a home directory without read permission
         return {}
     where = str(path)
-    content = toml.parse(_read(path, where), where)
+    content = toml.parse(read_text(path, where), where)
     for section in content:
         check_known(section, ["board", "rig"], "key", where)
     settings = _check_section(content.get("board", {}), where)
@@ -107,7 +107,7 @@ def _read_user_settings() -> dict[str, Any]:
     return settings
 
 
-def _read(path: Path, where: str) -> str:
+def read_text(path: Path, where: str) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self, TextIO
 
-import cyclopts
-
 from stickslip.compute.interpreter import start_python
 from stickslip.console.application import Answer, Json
 from stickslip.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
@@ -26,12 +24,6 @@ class Check:
     ok: bool
     detail: str
     do: str = ""
-
-
-def register(app: cyclopts.App) -> None:
-    """Add doctor and demo to the `daq` application."""
-    app.command(doctor)
-    app.command(demo)
 
 
 def doctor(*, json: Json = False) -> Answer:

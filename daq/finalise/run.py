@@ -22,11 +22,11 @@ from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import EVENT_NAMES, positions
-from daq.runfile.spill import Column, Spill
+from daq.runfile.spill import Column, Shelf, Spill
 from daq.stream import connections
 from daq.stream.clock import PartClock
 from daq.stream.integrity import CountCheck, CountSurvey
-from daq.stream.timeline import StoredPieces, Timeline
+from daq.stream.timeline import Frames, Piece, Samples, Timeline, drop_columns
 from daq.wire import frames
 from daq.wire.roll_over import survey_roll_over
 from stickslip import toml
@@ -144,7 +144,9 @@ def _gather_blocks(recorded: journal.Journal, markers: Sequence[tuple[int, str]]
     columns = {name: Column(spill) for name in ("time", "position", "segment", *(["count"] if counted else []))}
     totals, events = DataTotals(), RunEvents(markers, float(header["rate_hz"]))
     clock = PartClock(0, None, by_bytes=False, spill=spill)
-    for piece, checked, values in blocks.read_pieces(recorded):
+    stream = blocks.BlockStream(header)
+    for record in recorded.records.of_kind(journal.RECEIVED):
+        piece, checked, values = stream.take(record.stamp_ns, record.data)
         position = positions(checked.count, rig) if counted else values.astype(np.float64)
         values_of = {"time": piece.samples.time, "position": position, **vars(checked)}
         for name, column in columns.items():
@@ -170,10 +172,12 @@ def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]],
     )
     _, rig, _ = read_calibration(configurations, (), None)
     survey = CountSurvey(timeline.idents, rig.counter_bits, rate_hz, starts_at_phase=starts_at_phase)
-    pieces = StoredPieces(spill)
-    for piece in timeline:
-        survey.take(piece.samples)
-        pieces.append(piece)
+    all_samples: Shelf[Samples] = Shelf(spill)
+    all_frames: Shelf[Frames] = Shelf(spill)
+    for samples, sent in timeline:
+        survey.take(samples)
+        all_samples.append(samples)
+        all_frames.append(sent)
     if not timeline.lengths:
         raise _no_samples(recorded)
     config, rig, warnings = read_calibration(configurations, timeline.configs, timeline.ident)
@@ -184,7 +188,8 @@ def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]],
     clock = PartClock(longest, header["baud"], timeline.times_bytes, spill)
     totals, events = DataTotals(repeated=timeline.repeated), RunEvents(markers, rate_hz)
     columns = RunColumns(rig, timeline.idents, timeline.truth, spill)
-    for piece in pieces.read(timeline.missing):
+    for samples, sent in zip(all_samples, all_frames, strict=True):
+        piece = Piece(drop_columns(samples, timeline.missing), sent)
         checked = count_check.take(piece.samples)
         position = positions(checked.count, rig)
         columns.take(piece.samples, checked, position)

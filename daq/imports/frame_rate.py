@@ -12,9 +12,12 @@ Not modelled: strong damping, which lengthens the swing.
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.runfile.spill import blocks
 
 TOLERANCE = 1.25  # the laws stay within 1.1; the rest is for noise, coarse sampling and the errors of m and k
 
@@ -72,7 +75,7 @@ def _find_turns(position: NDArray[np.float64]) -> list[int]:
     turns: list[int] = []
     high = low = 0
     rising: bool | None = None
-    for i, x in enumerate(position.tolist()):
+    for i, x in enumerate(chain.from_iterable(block.tolist() for block in blocks(position))):
         if x > position[high]:
             high = i
         if x < position[low]:

@@ -120,8 +120,8 @@ def split_header(text: str, delimiter: str, width: int) -> list[str]:
 
 def find_format(texts: Sequence[str], stated: str | None) -> tuple[str, str]:
     """Return the delimiter and the decimal sign; ``stated`` is the delimiter that the file itself names."""
-    half = texts[len(texts) // 2 :]
-    sample = half[:: max(1, len(half) // FORMAT_LINES)]
+    half = range(len(texts) // 2, len(texts))
+    sample = [texts[index] for index in half[:: max(1, len(half) // FORMAT_LINES)]]
     best, best_score = CANDIDATES[0], 0.0
     for delimiter, decimal in CANDIDATES:
         if stated is not None and delimiter != stated:

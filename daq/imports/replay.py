@@ -74,8 +74,11 @@ def _recount_belt(run: Recording) -> Recording:
     """Return the run with its belt decoded again from the raw counter; without one the run is unchanged."""
     if run.raw is None or run.raw.belt_count is None:
         return run
+    if (pitch := run.rig.belt_metres_per_count) is None:
+        return replace(run, belt_count=None, belt_velocity=None)
     starts = np.flatnonzero(np.diff(run.segment.astype(np.int64), prepend=-1))
-    count, velocity = belt_counter.decode_belt(run.raw.belt_count, run.time, starts, run.rate_hz, run.rig)
+    count = belt_counter.unwrap_count(run.raw.belt_count, run.rig.counter_bits, starts)
+    velocity = belt_counter.compute_velocity(count, run.time, starts, run.rate_hz, pitch.value)
     return replace(run, belt_count=count, belt_velocity=velocity)
 
 

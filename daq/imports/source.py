@@ -12,10 +12,10 @@ from pathlib import Path
 from daq.runfile.regular import open_regular
 from stickslip.errors import InputError
 
-MOST_BYTES = 1 << 28  # of a table; an hour at 1 kHz as text has 80 MB, and takes ten times as much memory
+MOST_BYTES = 1 << 28  # of a table; an hour at 1 kHz as text has 50 MB, and takes 230 MB of memory
 MOST_COLUMNS = 4096
 MOST_LINES = 1 << 23  # 2.3 h at 1 kHz
-MOST_CELLS = 1 << 24  # each takes 60 to 90 bytes
+MOST_CELLS = 1 << 24  # each takes 20 bytes, in a LabVIEW measurement 60 to 90
 PARTS = "save the times and positions alone, or a part of them"
 LISTED = 12  # names in a message; of the others only the number
 

@@ -11,12 +11,15 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.imports import layout, source
+from daq.imports.lines import TOGETHER, Lines, Rows
 from daq.imports.source import Source
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, Mask
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError, in_python
 
@@ -25,11 +28,11 @@ COMMENTS = ("#", "%", "//", "=~=~")  # the last begins the log of a terminal pro
 HDF5 = b"\x89HDF\r\n\x1a\n"  # how such a file begins, a run file among them
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
-TOGETHER = 4096  # rows whose cells are converted together
 MOST_COMMENTS = 100  # lines above a table in which its names are looked for
 LISTED = 5  # lines named in a message about many
 LONGEST_LINE = 100_000  # characters; a table of 4000 columns has half of it
-_STAMP = re.compile(r"\d{2}:\d{2}:\d{2}\.\d{3} -> ")  # of the serial monitor of Arduino, before each line
+# Of the serial monitor of Arduino, before each line.
+_STAMP, STAMP_BYTES = re.compile(r"[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{3} -> "), 16
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,8 @@ class Table:
 
     path: Path
     names: tuple[str, ...]  # the header; empty without one
-    rows: list[Sequence[str]]  # the cells of each line of data
-    lines: list[int]  # line number of each row in the file, from 1
+    rows: Sequence[Sequence[str]]  # the cells of each line of data
+    lines: NDArray[np.int32]  # line number of each row in the file, from 1
     width: int  # columns, as most lines have
     delimiter: str
     decimal: str
@@ -97,54 +100,59 @@ class Table:
         if not 1 <= number <= count:
             what = f"--segment {number}: the file holds {count} measurement{'s' if count > 1 else ''}"
             raise InputError(what, str(self.path), f"choose 1 to {count}" if count > 1 else "leave it out")
-        chosen = slice(*[*self.starts, len(self.rows)][number - 1 : number + 1])
-        return replace(self, rows=self.rows[chosen], lines=self.lines[chosen], starts=(0,))
+        chosen = slice(*[*self.starts, len(self.lines)][number - 1 : number + 1])
+        return replace(self.take(chosen), starts=(0,))
 
     def columns(
         self, readers: Sequence[ColumnReader], *, skip: bool, progress: Stages = silent
     ) -> "tuple[Array, Table, tuple[Skipped, ...]]":
-        """Return columns as numbers, the table of their lines, and the lines left out, which ``skip`` allows."""
-        values: list[Array] = []
-        kept: list[int] = []
+        """Return columns as numbers, their lines (a table without cells), and lines left out, which ``skip`` allows."""
+        values = np.empty((len(readers), len(self.rows)))
+        filled = 0
+        good = np.ones(len(self.rows), np.bool_)
         bad: list[Skipped] = []
         first: int | None = None
         for begin in range(0, len(self.rows), TOGETHER):
             progress("reading numbers", begin, len(self.rows))
-            rows = self.rows[begin : begin + TOGETHER]
+            rows = list(self.rows[begin : begin + TOGETHER])
             plain = self._plain(rows, readers)
             if plain is not None:
-                values.append(plain)
-                kept += range(begin, begin + len(rows))
+                values[:, filled : filled + len(rows)] = plain
+                filled += len(rows)
                 continue
-            numbers: list[list[float]] = []
             for index, row in enumerate(rows, start=begin):
-                cells: list[float] = []
-                for column, reader, kind in readers if len(row) == self.width else ():
-                    value = reader(row[column])
-                    if value is None:
-                        cell = row[column].strip()
-                        what = f"holds {source.cut(cell)!r}, not {kind}" if cell else "is empty"
-                        bad.append(Skipped(self.lines[index], f"{self.label(column)} {what}"))
-                        first = column if len(bad) == 1 else first
-                        break
-                    cells.append(value)
+                cells, what, column = self._read_row(row, readers)
+                if what:
+                    first = column if not bad else first
+                    bad.append(Skipped(int(self.lines[index]), what))
+                    good[index] = False
                 else:
-                    if len(row) == self.width:
-                        numbers.append(cells)
-                        kept.append(index)
-                    else:
-                        columns = "1 column" if len(row) == 1 else f"{len(row)} columns"
-                        what = f"has {columns} where the others have {self.width}"
-                        bad.append(Skipped(self.lines[index], what))
-            values.append(np.array(numbers, np.float64).reshape(-1, len(readers)).T)
+                    values[:, filled] = cells
+                    filled += 1
         if bad and not skip:
-            do, python = _advise(self, bad, kept)
+            do, python = _advise(self, bad, good)
             several = f"; {len(bad)} lines cannot be read: {list_lines(skipped.line for skipped in bad)}"
             raise InputError(bad[0].what + several * (len(bad) > 1), self.locate(bad[0].line, first), do, python=python)
-        good = self
-        if bad:
-            good = replace(self, rows=[self.rows[index] for index in kept], lines=[self.lines[index] for index in kept])
-        return np.concatenate([np.empty((len(readers), 0)), *values], axis=1), good, tuple(bad)
+        return values[:, :filled], replace(self, rows=(), lines=self.lines[good]), tuple(bad)
+
+    def take(self, which: slice) -> "Table":
+        """Return the table of some of its lines."""
+        return replace(self, rows=self.rows[which], lines=self.lines[which])
+
+    def _read_row(self, row: Sequence[str], readers: Sequence[ColumnReader]) -> tuple[list[float], str, int | None]:
+        """Return the numbers in a row, why it cannot be read ("" where it can), and the column that cannot."""
+        if len(row) != self.width:
+            columns = "1 column" if len(row) == 1 else f"{len(row)} columns"
+            return [], f"has {columns} where the others have {self.width}", None
+        cells: list[float] = []
+        for column, reader, kind in readers:
+            value = reader(row[column])
+            if value is None:
+                cell = row[column].strip()
+                what = f"holds {source.cut(cell)!r}, not {kind}" if cell else "is empty"
+                return [], f"{self.label(column)} {what}", column
+            cells.append(value)
+        return cells, "", None
 
     def _plain(self, rows: list[Sequence[str]], readers: Sequence[ColumnReader]) -> Array | None:
         """Return the columns of some rows as numbers, (columns, rows); None unless each cell is a plain number."""
@@ -161,36 +169,30 @@ def list_lines(lines: Iterable[int]) -> str:
     return source.shorten(map(str, lines), LISTED)
 
 
-def _advise(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:
+def _advise(cells: Table, bad: Sequence[Skipped], good: Mask) -> tuple[str, str]:
     """Return what to do, for a terminal and in Python."""
     what = "those lines" if len(bad) > 1 else "that line"
     do = f"correct or delete {what}, or leave such lines out with {{}}: times need not be even"
-    if kept and len(bad) == kept[0] and not cells.names:
+    if good.any() and len(bad) == int(good.argmax()) and not cells.names:
         do += f"; if the table begins below, give --preamble {bad[-1].line}"
     return do.format("--skip-bad"), in_python(do.format("skip_bad=True"))
 
 
-def parse_lines(
-    path: Path, numbered: Iterable[tuple[int, str]], preamble: int, progress: Stages, delimiter_known: str | None = None
-) -> Table:
-    """Return the table in numbered lines; ``delimiter_known`` is the delimiter, where it is known."""
-    lines, comments, stated = _select_lines(path, numbered, preamble, progress)
+def parse_lines(path: Path, lines: Lines, preamble: int, progress: Stages, delimiter_known: str | None = None) -> Table:
+    """Return the table in some lines; ``delimiter_known`` is the delimiter, where it is known."""
+    texts, comments, stated = _select_lines(path, lines, preamble, progress)
     delimiter_known = stated if delimiter_known is None else delimiter_known
-    texts = [text for _, text in lines]
-    if all(_STAMP.match(text) for text in texts):
-        texts = [_STAMP.sub("", text, count=1) for text in texts]
+    if all(_STAMP.match(text) for _, piece in texts.pieces() for text in piece):
+        texts = texts.cut(texts.begin + STAMP_BYTES, texts.end)
     delimiter, decimal = layout.find_format(texts, delimiter_known)
-    rows, data = _split_lines(texts, delimiter, decimal, progress)
-    if data and delimiter != " " and all(len(row) > 1 and not row[-1].strip() for row in data):
-        # Every line closes with a delimiter.
-        texts = [
-            text.rstrip()[:-1] if text.rstrip().endswith(delimiter.strip() or delimiter) else text for text in texts
-        ]
-        rows, data = _split_lines(texts, delimiter, decimal, silent)
-    if not data:
+    survey = _survey(texts, delimiter, decimal, progress)
+    if survey.rows and delimiter != " " and survey.closed:
+        texts = texts.cut(texts.begin, texts.begin + _measure_unclosed(texts, delimiter))
+        survey = _survey(texts, delimiter, decimal, silent)
+    if not survey.rows:
         raise InputError("holds no numbers", str(path), "give a CSV with a column of positions")
-    width = Counter(map(len, data)).most_common(1)[0][0]
-    source.check_size(len(data), width, str(path))
+    width = survey.widths.most_common(1)[0][0]
+    source.check_size(survey.rows, width, str(path))
     start = layout.find_start(texts, delimiter, decimal, width)
     head = texts[:start]
     names = layout.name_columns(head, delimiter, width)
@@ -198,54 +200,79 @@ def parse_lines(
         count = len(layout.split_header(head[-1], delimiter, width))
         raise InputError(
             f"the header names {count} columns, the lines below have {width}",
-            f"{path}, line {lines[start - 1][0]}",
+            f"{path}, line {texts.number[start - 1]}",
             "separate columns by semicolons if numbers have decimal commas",
         )
-    header_line = lines[start - 1][0] if names else 0
-    first_line = lines[start][0]
-    above = tuple(text for line, text in reversed(comments) if line < first_line)
-    kept, starts, outside = _find_measurements(rows, start, head, delimiter, width)
-    beside = tuple(lines[index][0] for index in outside)
-    rows, numbers = [rows[index] for index in kept], [lines[index][0] for index in kept]
+    header_line = int(texts.number[start - 1]) if names else 0
+    above = tuple(text for line, text in reversed(comments) if line < texts.number[start])
+    below = texts.take(slice(start, None))
+    kept, starts, beside = _find_measurements(below, head, delimiter, width)
+    rows = below.take(kept)
     return Table(
-        path, names, rows, numbers, width, delimiter, decimal, header_line, comments=above, starts=starts, beside=beside
+        path,
+        names,
+        Rows(rows, delimiter),
+        rows.number,
+        width,
+        delimiter,
+        decimal,
+        header_line,
+        comments=above,
+        starts=starts,
+        beside=tuple(below.number[beside].tolist()),
     )
 
 
-def _split_lines(
-    texts: Sequence[str], delimiter: str, decimal: str, progress: Stages
-) -> tuple[list[Sequence[str]], list[Sequence[str]]]:
-    """Return the cells of each line, and those of the lines that hold a number."""
-    rows: list[Sequence[str]] = []
-    data: list[Sequence[str]] = []
-    for begin in range(0, len(texts), TOGETHER):
-        progress("splitting lines", begin, len(texts))
-        chunk: list[Sequence[str]] = [layout.split_cells(text, delimiter) for text in texts[begin : begin + TOGETHER]]
-        rows += chunk
+class _Survey(NamedTuple):
+    """The lines that hold a number: how many, how many have so many cells, and whether a delimiter closes each."""
+
+    rows: int
+    widths: Counter[int]
+    closed: bool
+
+
+def _survey(texts: Lines, delimiter: str, decimal: str, progress: Stages) -> _Survey:
+    widths: Counter[int] = Counter()
+    closed = True
+    for first, piece in texts.pieces():
+        progress("splitting lines", first, len(texts))
+        chunk = [layout.split_cells(text, delimiter) for text in piece]
         if layout.read_plain_numbers([row[0] if row else "" for row in chunk], decimal) is None:
             chunk = [row for row in chunk if any(layout.read_number(cell, decimal) is not None for cell in row)]
-        data += chunk
-    return rows, data
+        widths.update(map(len, chunk))
+        closed = closed and all(len(row) > 1 and not row[-1].strip() for row in chunk)
+    return _Survey(widths.total(), widths, closed)
+
+
+def _measure_unclosed(texts: Lines, delimiter: str) -> NDArray[np.int32]:
+    """Return the bytes of each line without the delimiter that closes it."""
+    sizes = []
+    for _, piece in texts.pieces():
+        for text in piece:
+            closed = text.rstrip()
+            sizes.append(len((closed[:-1] if closed.endswith(delimiter.strip() or delimiter) else text).encode()))
+    return np.array(sizes, np.int32)
 
 
 def _find_measurements(
-    rows: Sequence[Sequence[str]], start: int, head: Sequence[str], delimiter: str, width: int
-) -> tuple[list[int], tuple[int, ...], list[int]]:
-    """Return the rows of data, which of them start a measurement, and rows outside the table, such as notes."""
+    texts: Lines, head: Sequence[str], delimiter: str, width: int
+) -> tuple[Mask, tuple[int, ...], list[int]]:
+    """Return which lines are data, which of these start a measurement, and lines outside the table, such as notes."""
     header = {tuple(layout.split_cells(text, delimiter)) for text in head if text}
-    kept: list[int] = []
+    kept = np.ones(len(texts), np.bool_)
     beside: list[int] = []
-    starts = [0]
-    for index in range(start, len(rows)):
-        row = rows[index]
+    starts, count = [0], 0
+    for index, row in enumerate(Rows(texts, delimiter)):
         if header and tuple(row) in header:
-            if kept and starts[-1] != len(kept):
-                starts.append(len(kept))
+            if count and starts[-1] != count:
+                starts.append(count)
+            kept[index] = False
         elif len(row) <= width or any(cell.strip() for cell in row[:width]):
-            kept.append(index)
+            count += 1
         else:
             beside.append(index)
-    if starts[-1] == len(kept) > 0:
+            kept[index] = False
+    if starts[-1] == count > 0:
         starts.pop()
     return kept, tuple(starts), beside
 
@@ -273,30 +300,31 @@ def decode_text(file: Source) -> str:
 
 
 def _select_lines(
-    path: Path, lines: Iterable[tuple[int, str]], preamble: int, progress: Stages
-) -> tuple[list[tuple[int, str]], list[tuple[int, str]], str | None]:
-    """Return number and text of each line that may hold data, of comments, and the delimiter that the file names."""
+    path: Path, lines: Lines, preamble: int, progress: Stages
+) -> tuple[Lines, list[tuple[int, str]], str | None]:
+    """Return the lines that may hold data, comments with their line numbers, and the delimiter that the file names."""
     where = str(path)
-    all_lines = list(lines)
-    numbered = [(line, text) for line, text in all_lines if line > preamble]
-    kept: list[tuple[int, str]] = []
+    numbered = lines.take(slice(int(np.searchsorted(lines.number, preamble, "right")), None))
+    keep = np.zeros(len(numbered), np.bool_)
     comments: list[tuple[int, str]] = []
-    for begin in range(0, len(numbered), TOGETHER):
-        progress("reading lines", begin, len(numbered))
-        chunk = [(line, content) for line, content in numbered[begin : begin + TOGETHER] if content.strip(" \t;,|")]
-        comment = [content.lstrip().startswith(COMMENTS) for _, content in chunk]
-        kept += [each for each, is_comment in zip(chunk, comment, strict=True) if not is_comment]
-        if len(comments) < MOST_COMMENTS:
-            comments += [each for each, is_comment in zip(chunk, comment, strict=True) if is_comment]
-    delimiter = None
-    if kept and kept[0][1].lower().startswith("sep=") and len(kept[0][1]) == 5:
-        delimiter = kept.pop(0)[1][4]  # written by spreadsheets
-    if not kept:
-        what = "holds no data" if any(text for _, text in all_lines) else "is empty"
+    for first, piece in numbered.pieces():
+        progress("reading lines", first, len(numbered))
+        for index, content in enumerate(piece, start=first):
+            if content.lstrip().startswith(COMMENTS):
+                comments.append((int(numbered.number[index]), content))
+            elif content.strip(" \t;,|"):
+                keep[index] = True
+        del comments[MOST_COMMENTS:]
+    kept, delimiter = numbered.take(keep), None
+    if len(kept) and kept[0].lower().startswith("sep=") and len(kept[0]) == 5:
+        delimiter = kept[0][4]  # written by spreadsheets
+        kept = kept.take(slice(1, None))
+    if not len(kept):
+        what = "holds no data" if (lines.end > lines.begin).any() else "is empty"
         raise InputError(what, where, "give a CSV with a column of positions")
-    for line, content in kept:
-        if len(content) > LONGEST_LINE:
-            what = f"the line holds {len(content)} characters; a line of a table has at most {LONGEST_LINE}"
+    for index in np.flatnonzero(kept.end - kept.begin > LONGEST_LINE).tolist():
+        if (length := len(kept[index])) > LONGEST_LINE:
+            what = f"the line holds {length} characters; a line of a table has at most {LONGEST_LINE}"
             do = "delete that line; if the table begins below it, give --preamble"
-            raise InputError(what, f"{where}, line {line}", f"{do} {line}")
-    return kept, comments[:MOST_COMMENTS], delimiter
+            raise InputError(what, f"{where}, line {kept.number[index]}", f"{do} {kept.number[index]}")
+    return kept, comments, delimiter

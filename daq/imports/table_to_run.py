@@ -28,6 +28,7 @@ from daq.imports.columns import (
 )
 from daq.imports.formats import labview
 from daq.imports.frame_rate import check_half_period
+from daq.imports.lines import number_lines
 from daq.imports.options import ImportOptions
 from daq.runfile import provenance
 from daq.runfile.in_memory import add_belt, measure_rate, read_counts
@@ -90,12 +91,7 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         x_size, x_unit = 1.0, f"counts of {pitch.value:g} m"
     else:
         x_size, x_unit = _read_position_unit(cells, columns.position, options, warnings)
-    readers: list[table.ColumnReader] = [(columns.position, cells.number, "a number")]
-    if columns.time is not None:
-        readers.append(_choose_time_reader(cells, columns.time, clock=options.clock))
-    if columns.belt is not None:
-        readers.append((columns.belt, cells.number, "a number"))
-    values, cells, skipped = cells.columns(readers, skip=options.skip_bad, progress=progress)
+    values, cells, skipped = _read_numbers(cells, columns, options, progress)
     if skipped:
         share = 100 * len(skipped) / (len(skipped) + len(cells.lines))
         lines = table.list_lines(line.line for line in skipped)
@@ -108,13 +104,16 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         raise InputError(what, str(path), "give a track of at least two")
     time, t_unit, chosen = _read_times(values, cells, columns, options, warnings)
     values = values[:, chosen]
-    cells = replace(cells, lines=cells.lines[chosen], rows=cells.rows[chosen])
+    cells = cells.take(chosen)
     count = read_counts(values[0], pitch, cells.label(columns.position)) if isinstance(pitch, Measured) else None
     if count is not None and (roll_over := find_roll_over(count)) is not None:
         count = unroll(count, roll_over)
         warnings.append(f"the counter rolled over or restarted {roll_over}; these jumps were removed")
     rig = _build_rig(options, stated)
-    position = values[0] * x_size if count is None else positions(count, replace(rig, datum=None))
+    position = values[0]
+    position *= x_size
+    if count is not None:
+        position = positions(count, replace(rig, datum=None))
     plausible.check_range(position, plausible.FARTHEST_M, cells, columns.position, "m", "its unit")
     if (impossible := explain_impossible(time, position)) is not None:
         do = "give the unit of the times with --t-unit" if options.frame_rate_hz is None else "check --frame-rate"
@@ -129,7 +128,7 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         doubt := question_rest_position(rest_position, float(position.min()), float(position.max()))
     ):
         warnings.append(doubt)
-    position = position + rig.offset
+    position += rig.offset
     if rig.mass is not None and rig.stiffness is not None:
         warnings += check_half_period(time, position, rig.mass.value, rig.stiffness.value)
     in_unit = ", times of day" if options.clock else f" in {t_unit}"
@@ -142,12 +141,15 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         dimension, size, name = read_belt_unit(cells, columns.belt, options.belt_unit)
         belt = values[-1] * size
         plausible.check_range(belt, plausible.FARTHEST_M, cells, columns.belt, "m", "--belt-unit")
-        run = add_belt(run, belt if dimension == "length" else _integrate_speed(time, belt))
+        if dimension == "speed":  # by the trapezoidal rule
+            belt = np.concatenate(([0.0], np.cumsum(0.5 * (belt[1:] + belt[:-1]) * np.diff(time))))
+        run = add_belt(run, belt)
         kind = "position" if dimension == "length" else dimension
         sources["belt"] = f"{cells.label(columns.belt)} in {name}, its {kind}"
     run = _complete_run(options, run, cells, sources, skipped)
     step = np.diff(time)
-    even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
+    mean = step.mean()
+    even = bool(max(step.max() - mean, mean - step.min()) <= 1e-3 * mean + 1e-9)
     assumed = [] if has_unit else ["N" if forces else "m"]
     if columns.time is not None and not (
         columns.frames or options.clock or is_stated(cells, columns.time, options.t_unit)
@@ -179,6 +181,18 @@ def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
     return Columns(time, position, belt, frames)
 
 
+def _read_numbers(
+    cells: table.Table, columns: Columns, options: ImportOptions, progress: Stages
+) -> tuple[Array, table.Table, tuple[table.Skipped, ...]]:
+    """Return positions, times if any, and the belt if any, as `daq.imports.table.Table.columns` does."""
+    readers: list[table.ColumnReader] = [(columns.position, cells.number, "a number")]
+    if columns.time is not None:
+        readers.append(_choose_time_reader(cells, columns.time, clock=options.clock))
+    if columns.belt is not None:
+        readers.append((columns.belt, cells.number, "a number"))
+    return cells.columns(readers, skip=options.skip_bad, progress=progress)
+
+
 def _read_times(
     values: Array, cells: table.Table, columns: Columns, options: ImportOptions, warnings: list[str]
 ) -> tuple[Array, str, slice]:
@@ -195,7 +209,8 @@ def _read_times(
         time = time + DAY_S * np.cumsum(np.diff(time, prepend=time[0]) < -DAY_S / 2)  # times past midnight
     else:
         size, t_unit = read_unit(cells, columns.time, options.t_unit, "time", "--t-unit", warnings)
-        time = _unroll_times(time, warnings) * size
+        time = _unroll_times(time, warnings)
+        time *= size  # in place: a long table takes 8 bytes a sample for each copy
     time, chosen = _choose_measurement(time, cells, options.segment)
     cells = replace(cells, lines=cells.lines[chosen])
     time = time[chosen]
@@ -209,7 +224,8 @@ def _read_times(
         elif not is_stated(cells, columns.time, options.t_unit):
             plausible.ask_for_time_unit(time, cells, columns.time)
     warnings += plausible.describe_gap(time, cells, clock=options.clock)
-    return time - time[0], t_unit, chosen
+    time -= time[0]
+    return time, t_unit, chosen
 
 
 def _unroll_times(time: Array, warnings: list[str]) -> Array:
@@ -228,6 +244,8 @@ def _choose_measurement(time: Array, cells: table.Table, segment: int | None) ->
     """Return times and lines of a measurement, which starts where times restart; 0 joins them at a usual step."""
     step = np.diff(time)
     backward_rows = np.flatnonzero(step < 0) + 1
+    if not backward_rows.size and not segment:
+        return time, slice(0, time.size)
     restarts = backward_rows[time[backward_rows] <= time[0] + np.median(np.abs(step))]
     starts = (0, *(int(row) for row in restarts))
     if backward_rows.size != restarts.size or min(np.diff([*starts, time.size])) < 2:
@@ -237,13 +255,8 @@ def _choose_measurement(time: Array, cells: table.Table, segment: int | None) ->
         lag[list(starts[1:])] = np.median(np.abs(step)) - step[np.array(starts[1:], int) - 1]
         return time + np.cumsum(lag), slice(0, time.size)
     chosen = replace(cells, starts=starts).segment(segment)
-    first = cells.lines.index(chosen.lines[0])
+    first = int(np.argmax(cells.lines == chosen.lines[0]))
     return time, slice(first, first + len(chosen.lines))
-
-
-def _integrate_speed(time: Array, speed: Array) -> Array:
-    """Return the positions, m, of a belt whose speeds, m/s, were measured: by the trapezoidal rule."""
-    return np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
 
 
 def _is_timecode(cells: table.Table, column: int) -> bool:
@@ -347,13 +360,16 @@ def _read_cells(path: Path, options: ImportOptions, progress: Stages) -> table.T
         cells: table.Table = module.read(path)
         return cells
     file = source.read(path)
-    text = table.decode_text(file)
+    text, sha256, modified_s = table.decode_text(file), file.sha256, file.modified_s
+    del file  # a long one has as many bytes again
     if text.startswith(labview.BEGINS):
         _check_plain("a LabVIEW measurement", path, options)
         cells = labview.read(path, text)
     else:
-        cells = table.parse_lines(path, enumerate(text.split("\n"), start=1), options.preamble, progress)
-    return replace(cells, sha256=file.sha256, modified_s=file.modified_s)
+        lines = number_lines(text)
+        del text
+        cells = table.parse_lines(path, lines, options.preamble, progress)
+    return replace(cells, sha256=sha256, modified_s=modified_s)
 
 
 def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:
@@ -366,12 +382,11 @@ def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:
 def _choose_time_reader(cells: table.Table, column: int, *, clock: bool) -> table.ColumnReader:
     if clock:
         return column, _Clock().read, "a time of day, with a date such as 2026-03-27 if any"
-    row = next((row for row in cells.rows if len(row) == cells.width), None)
+    index, row = next(((index, row) for index, row in enumerate(cells.rows) if len(row) == cells.width), (0, None))
     if row is not None and cells.number(row[column]) is None and layout.read_clock(row[column]) is not None:
         what = f"{cells.label(column)} holds times of day such as {row[column].strip()}"
-        raise InputError(
-            what, cells.locate(cells.lines[cells.rows.index(row)], column), "give --clock", python="give clock=True"
-        )
+        where = cells.locate(int(cells.lines[index]), column)
+        raise InputError(what, where, "give --clock", python="give clock=True")
     return column, cells.number, "a number"
 
 

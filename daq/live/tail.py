@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from daq import protocols
+from daq.finalise.blocks import BlockStream
 from daq.finalise.run import read_calibration
 from daq.protocols import blocks
 from daq.protocols.session import decode_whole
@@ -86,6 +87,7 @@ class JournalTail:
         self.counts = JournalTotals()
         self.ended = self.port_lost = ""
         self._of_blocks = self.header["protocol"] == blocks.NAME
+        self.block_stream = BlockStream(self.header)
         self._backend = protocols.load("frames" if self._of_blocks else self.header["protocol"], str(path))
         self._rate_hz = float(self.header["rate_hz"])
         self._position = len(journal.MAGIC)
@@ -94,7 +96,6 @@ class JournalTail:
         self._ident: frames.Ident | None = None
         self._last: _LastSample | None = None
         self._first_stamp: int | None = None
-        self._begun_s = 0.0  # time of the first sample of blocks
         self._trailing_damage = 0
         self._calibrated = False
 
@@ -110,7 +111,7 @@ class JournalTail:
     def fork(self) -> "JournalTail":
         """Return another tail that continues at the position of this one."""
         copied = copy(self)
-        copied.counts = replace(self.counts)
+        copied.counts, copied.block_stream = replace(self.counts), copy(self.block_stream)
         return copied
 
     def poll(self, most_bytes: int = MOST_BYTES) -> list[NewSamples]:
@@ -202,24 +203,17 @@ class JournalTail:
             _, self.rig, _ = read_calibration(self._configuration, [], None)
             self._calibrated = True
         pieces = []
-        for _, data in reads:
-            content = blocks.unpack(data, self.header["columns"])
-            if content is None:
-                self.counts.crc_errors += 1
-                continue
-            time, values = content
-            begins = self._last is None
-            if self._last is None:
-                self._begun_s, self._last = float(time[0]), _LastSample(0, float(time[0]), 0, 0)
-            steps = np.rint(np.diff(time, prepend=self._last.time) * self._rate_hz)
-            self.counts.lost += int(np.sum(np.maximum(steps[begins:], 1) - 1))
-            self.counts.samples += len(time)
-            self.counts.segments = 1
-            self._last = _LastSample(0, float(time[-1]), 0, 0)
-            position = positions(values.astype(np.int64), self.rig) if values.dtype.kind == "i" else values
-            fresh = np.zeros(len(time), np.bool_)
-            fresh[0] = begins
-            pieces.append(NewSamples(time - self._begun_s, position.astype(np.float64), fresh))
+        for stamp_ns, data in reads:
+            (samples, sent), checked, values = self.block_stream.take(stamp_ns, data)
+            self.counts.crc_errors += len(sent.crc_frame)
+            self.counts.lost += int(checked.lost.sum())
+            self.counts.samples += len(samples)
+            self.counts.segments += len(checked.starts)
+            if len(samples):
+                position = positions(values.astype(np.int64), self.rig) if values.dtype.kind == "i" else values
+                fresh = np.zeros(len(samples), np.bool_)
+                fresh[checked.starts] = True
+                pieces.append(NewSamples(samples.time, position.astype(np.float64), fresh))
         return pieces
 
     def _find_last(self, samples: timeline.Samples) -> int:

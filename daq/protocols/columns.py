@@ -85,7 +85,6 @@ class Columns:
     pattern: re.Pattern[bytes]
     names: tuple[str, ...]  # columns in the order of the line; empty if none are declared
     labels: tuple[str, ...]  # labels of the columns in the line; empty if the line has values only
-    counters: tuple[str, str]  # columns of the counters: up (or the net count) and down; "" without one
     counts: tuple[int, ...]  # groups of the time's whole part and fraction, up (or the net count) and down
     checks: tuple[int, ...]  # groups of a, b, illegal and xor; empty if none of them is declared
     us_per_unit: int  # unit of the time, us
@@ -100,7 +99,7 @@ class Columns:
         """The measured quantity, `LENGTH`, `FORCE` or "" (unknown unit), and a count of it in SI; None for counts."""
         if self.decimals is None:
             return None
-        quantity, size = MEASURED[self.counters[0]]
+        quantity, size = next(MEASURED[name] for name in self.names if name in MEASURED)
         return quantity, size * 10.0**-self.decimals
 
     @property
@@ -124,12 +123,12 @@ class Columns:
         if not self.checks:
             return ticks & 0xFFFFFFFF, up & limit - 1, down
         a, b, illegal, check = match.group(*self.checks)
-        if check and reduce(xor, self.take_guarded(match), 0) != int(check, 16):
+        if check and reduce(xor, self._take_guarded(match), 0) != int(check, 16):
             return NoSample.DAMAGED
         levels = int(a or 0) | int(b or 0) << 1
         return ticks & 0xFFFFFFFF, up & limit - 1, down, levels, int(illegal or 0) & 0xFFFF
 
-    def take_guarded(self, match: re.Match[bytes]) -> bytes:
+    def _take_guarded(self, match: re.Match[bytes]) -> bytes:
         """Return the part of a line that its xor covers: everything before the separator in front of it."""
         before = match.string[: match.start(self.checks[-1])].removesuffix(b"*").rstrip(b" \t")
         if self.labels:
@@ -159,6 +158,29 @@ class Columns:
         return (
             _make_columns(tuple(columns_of[label] for label in used), self.bits, used, self.decimals) if used else None
         )
+
+
+class LineParser:
+    """Parse the lines of one stream; after two lines in a row with the same labels, other labels are damage."""
+
+    def __init__(self, form: Columns) -> None:
+        self._declared = self._form = form
+        self._last: Columns | None = None
+
+    def read(self, line: bytes) -> Row | NoSample:
+        match = self._form.pattern.fullmatch(line)
+        if match is not None:
+            return self._form.read_row(match)
+        if line.startswith(b"#") or not line.rstrip(b"\r"):
+            return NoSample.REMARK
+        form = self._declared.match_labels(line) if self._form is self._declared else self._declared
+        match = form.pattern.fullmatch(line) if form is not None else None
+        if form is None or match is None:
+            return NoSample.DAMAGED
+        if form == self._last:
+            self._form = form
+        self._last = form
+        return form.read_row(match)
 
 
 def parse_columns(declared: str | None) -> Columns:
@@ -223,7 +245,6 @@ def _make_columns(names: tuple[str, ...], bits: int, labels: tuple[str, ...], de
         pattern=re.compile(rf"[ \t]*{_OPEN}{separator.join(fields)}{ending}[ \t]*{_CLOSE}\r*()".encode()),
         names=names,
         labels=labels,
-        counters=(up, down),
         counts=(groups[time], groups[time] + 1, groups[up], groups[down]),
         checks=tuple(groups.get(name, groups[""]) for name in checks) if groups.keys() & checks else (),
         us_per_unit=TIMES[time],

@@ -10,12 +10,11 @@ period, and a net count is split into its rises and falls, so that everything af
 frames.
 """
 
-import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from enum import IntFlag
 from itertools import chain
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +27,7 @@ from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, wrap_signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
-from stickslip.compute import arrays
 
-BLOCK_BYTES = 1 << 16  # reads that are parsed at once: fewer cost 10 % more CPU time
-# Lines from which they are read together: reads of 10 lines gain, and those with every tenth line damaged do not lose.
-FEWEST_ALIKE = 8
 CLOCK_LINES = 4096  # lines from which a clock is known to be coarse: 4 s at 1 kHz
 
 
@@ -49,32 +44,14 @@ class NoSample(IntFlag):
 Row = tuple[int, ...]
 
 
-class Parser(Protocol):
-    """Parses the lines of one stream: any line with `read`, and similar ones together."""
-
-    @property
-    def alike(self) -> re.Pattern[bytes] | None:
-        """Pattern of any number of whole lines, delimiters included; None: no lines are read together.
-
-        `read` must parse each of these lines as a sample unless a value is out of its range, and keep its state.
-        """
-
-    def read(self, line: bytes) -> Row | NoSample: ...
-
-    def read_alike(self, lines: bytes) -> NDArray[np.int64]:
-        """Return the values in n lines that match ``alike``, (n, k), up to the first line with one out of range."""
-
-    def count_miss(self) -> None:
-        """Count a search that found no similar lines; the next one may choose another pattern."""
+Parser = Callable[[bytes], Row | NoSample]  # of a line without its delimiter
 
 
 class LineBatch(NamedTuple):
-    """The n samples in some bytes, which have m lines."""
+    """The n samples in some bytes."""
 
     rows: NDArray[np.int64]  # (n, k) values: `Row`
-    line: NDArray[np.int64]  # (n,) the line of each
     others: list[tuple[int, NoSample]]  # damage and starts, each with the number of samples before it
-    lines: int  # m
 
 
 class LineReader:
@@ -86,79 +63,30 @@ class LineReader:
     example: The last damaged line; the first one of a stream may only be cut.
     """
 
-    def __init__(self, delimiter: bytes, longest: int, parser: Parser, *, trusts_first: bool) -> None:
-        self.delimiter = delimiter
+    def __init__(self, delimiter: bytes, longest: int, parse: Parser, *, trusts_first: bool) -> None:
         self.example = b""
         self._splitter = Splitter(delimiter, longest)
         self._longest = longest
-        self._parser = parser
+        self._parse = parse
         self._trusts_first = trusts_first
         self._first = True
-        self._damaged_bytes = 0
-
-    @property
-    def discarded_bytes(self) -> int:
-        """Bytes of all damaged lines, without delimiters."""
-        return self._damaged_bytes + self._splitter.dropped_bytes
 
     def feed(self, data: bytes) -> LineBatch:
         """Return the samples in the lines that the bytes complete."""
-        block = self._splitter.cut_lines(data)
-        lines = block.count(self.delimiter)
-        values, numbers = array("q"), array("q")
+        values, n = array("q"), 0
         others: list[tuple[int, NoSample]] = []
-        position = line = 0
-        while line < lines:
-            n_single = lines - line  # lines to be read one by one
-            if self._first and not self._trusts_first:
-                n_single = 1
-            elif n_single >= FEWEST_ALIKE:
-                rows, position, n_single = self._read_alike(block, position)
-                self._first = self._first and not len(rows)
-                if len(rows) == lines:
-                    return LineBatch(rows, np.arange(lines), others, lines)
-                values.frombytes(rows.tobytes())
-                numbers.frombytes(np.arange(line, line + len(rows)).tobytes())
-                line += len(rows)
-                n_single = min(n_single, lines - line)
-            end = position
-            for _ in range(n_single):
-                end = block.index(self.delimiter, end) + 1
-            for text in block[position:end].split(self.delimiter)[:n_single]:
-                item = self._parser.read(text) if len(text) <= self._longest else NoSample.DAMAGED
-                if isinstance(item, tuple):
-                    if self._trusts_first or not self._first:
-                        values.extend(item)
-                        numbers.append(line)
-                elif item:
-                    if NoSample.DAMAGED in item:
-                        self.example = text
-                        self._damaged_bytes += len(text)
-                    others.append((len(numbers), item & ~NoSample.DAMAGED if self._first else item))
-                self._first = False
-                line += 1
-            position = end
-        rows = np.array(values).reshape(len(numbers), -1) if numbers else np.empty((0, 1), dtype=np.int64)
-        return LineBatch(rows, np.array(numbers), others, lines)
-
-    def _read_alike(self, block: bytes, begin: int) -> tuple[NDArray[np.int64], int, int]:
-        """Return the values in the similar lines from a position in a block on, (n, k), and where these lines end.
-
-        The last value is how many lines from there on are to be read one by one before similar ones are searched for.
-        """
-        no_rows = np.empty((0, 1), dtype=np.int64)
-        match = None if self._parser.alike is None else self._parser.alike.match(block, begin)
-        lines = 0 if match is None else block.count(self.delimiter, begin, match.end())
-        if match is None or lines < FEWEST_ALIKE:
-            self._parser.count_miss()
-            return no_rows, begin, FEWEST_ALIKE if self._parser.alike is None else lines + 1
-        rows = self._parser.read_alike(match[0])
-        end = match.end()
-        if len(rows) < lines:
-            end = begin
-            for _ in range(len(rows)):
-                end = block.index(self.delimiter, end) + 1
-        return rows, end, 1
+        for line in self._splitter.feed(data):
+            item = self._parse(line) if len(line) <= self._longest else NoSample.DAMAGED
+            if isinstance(item, tuple):
+                if self._trusts_first or not self._first:
+                    values.extend(item)
+                    n += 1
+            elif item:
+                if NoSample.DAMAGED in item:
+                    self.example = line
+                others.append((n, item & ~NoSample.DAMAGED if self._first else item))
+            self._first = False
+        return LineBatch(np.array(values).reshape(n, -1) if n else np.empty((0, 1), dtype=np.int64), others)
 
 
 class LineTally(Tally):
@@ -218,7 +146,10 @@ class LineTally(Tally):
                 self._odd = 0
                 ahead = wrap_signed(step, 32)
                 self._device += ahead
-                if ahead < 0 or self._has_leapt(ahead):
+                device_s, at_s = self._device * self._tick_s, self._at_s
+                if ahead < 0 or (
+                    at_s is not None and self._least.has_leapt(device_s, at_s - device_s, ahead * self._tick_s)
+                ):
                     self.resets += 1
                     self._least.reset()
                 else:  # a constant time is not a restart
@@ -228,11 +159,6 @@ class LineTally(Tally):
         if self._at_s is not None and lines:
             device_s = self._device * self._tick_s
             self._least.note([device_s], [self._at_s - device_s])
-
-    def _has_leapt(self, ahead: int) -> bool:
-        """Return whether a time that many ticks ahead of the last good one has leapt (`LeastDelay`)."""
-        device_s = self._device * self._tick_s
-        return self._at_s is not None and self._least.has_leapt(device_s, self._at_s - device_s, ahead * self._tick_s)
 
 
 def decode_pieces(
@@ -265,69 +191,55 @@ def decode_pieces(
         finer = np.count_nonzero(ticks[:CLOCK_LINES] % resolution)
         resolution = 0 if finer > 0.1 * len(ticks[:CLOCK_LINES]) else resolution
     judge = LineJudge(ident.counter_bits, period_ticks, resolution, ident.tick_ns, net=net)
-    discarded = 0  # bytes discarded since the last piece
     for piece in chain(pieces, source):
         lines = judge.feed(piece.lines, piece.last)
-        discarded += piece.discarded_bytes
         if len(lines) or piece.last:
-            yield _build_stream(lines, ident, piece.damaged + judge.damaged if piece.last else 0, discarded)
-            discarded = 0
+            yield _build_stream(lines, ident, piece.damaged + judge.damaged if piece.last else 0)
 
 
 class _LinePiece(NamedTuple):
     lines: Lines  # the lines with samples
     damaged: int  # damaged lines after the last of these
-    discarded_bytes: int  # of these reads; see `LineReader`
     last: bool  # no more reads follow
 
 
 def _read_pieces(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_bytes: float) -> Iterator[_LinePiece]:
     notes = GapNotes()
-    parts: list[Lines] = []
-    ends: list[tuple[int, int]] = []  # of each read since the last block: its stamp, and how many lines end in it
-    block = bytearray()
-    bytes_taken = discarded = 0
-    cut_lines = 0  # 1 while an endless line is cut that no read has ended yet
+    rows: list[NDArray[np.int64]] = []
+    others: list[tuple[int, NoSample]] = []
+    stamps: list[tuple[int, int]] = []  # of each read: its stamp, and how many samples end in it
+    n = bytes_taken = 0
 
-    def parse_block() -> Lines:
-        nonlocal cut_lines
-        batch = reader.feed(bytes(block))
-        stamps = np.repeat(*np.array(ends, dtype=np.int64).reshape(-1, 2).T)
-        n = len(batch.line)
+    def build_piece(*, last: bool) -> _LinePiece:
         fresh, damaged = np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.int64)
-        for samples_before, remark in batch.others:
+        for samples_before, remark in others:
             fresh[samples_before] |= NoSample.START in remark
             damaged[samples_before] += NoSample.DAMAGED in remark
-        columns = np.zeros((5, n), dtype=np.int64)
-        columns[: batch.rows.shape[1]] = batch.rows.T
-        line_numbers = batch.line + cut_lines
-        cut_lines += batch.lines - len(stamps)
-        block.clear()
-        ends.clear()
-        ticks, up, down, status, illegal = columns
         fresh, damaged = notes.carry_over(fresh, damaged)
-        return Lines(
-            ticks, ticks, up, down, status, illegal, stamps[line_numbers], fresh, damaged, np.zeros_like(ticks)
-        )
+        columns = np.zeros((5, n), dtype=np.int64)
+        if rows:
+            columns[: rows[0].shape[1]] = np.concatenate(rows).T
+        ticks, up, down, status, illegal = columns
+        stamp_ns = np.repeat(*np.array(stamps, dtype=np.int64).reshape(-1, 2).T)
+        lines = Lines(ticks, ticks, up, down, status, illegal, stamp_ns, fresh, damaged, np.zeros_like(ticks))
+        return _LinePiece(lines, notes.damaged, last)
 
     for stamp, read in reads:
-        for begin in range(0, len(read), BLOCK_BYTES):
-            data = read[begin : begin + BLOCK_BYTES]
-            ends.append((stamp, data.count(reader.delimiter)))
-            block += data
-            if len(block) < min(BLOCK_BYTES, most_bytes):
-                continue
-            bytes_taken += len(block)
-            parts.append(parse_block())
-            if bytes_taken >= most_bytes:
-                yield _LinePiece(arrays.joined(parts), notes.damaged, reader.discarded_bytes - discarded, last=False)
-                bytes_taken, discarded = 0, reader.discarded_bytes
-                parts.clear()
-    parts.append(parse_block())
-    yield _LinePiece(arrays.joined(parts), notes.damaged, reader.discarded_bytes - discarded, last=True)
+        batch = reader.feed(read)
+        others += [(n + samples_before, remark) for samples_before, remark in batch.others]
+        if len(batch.rows):
+            rows.append(batch.rows)
+            stamps.append((stamp, len(batch.rows)))
+            n += len(batch.rows)
+        bytes_taken += len(read)
+        if bytes_taken >= most_bytes:
+            yield build_piece(last=False)
+            n = bytes_taken = 0
+            rows, others, stamps = [], [], []
+    yield build_piece(last=True)
 
 
-def _build_stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_bytes: int) -> Stream:
+def _build_stream(lines: Lines, ident: frames.Ident, damaged: int) -> Stream:
     """Return lines as frames; ``damaged`` lines follow the last of them."""
     n = len(lines)
     wide = ident.counter_bits > 16
@@ -348,6 +260,5 @@ def _build_stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_byt
         time_error=time_ahead(lines.ticks, lines.sent),
         crc_frame=crc_frame,
         crc_errors=len(crc_frame),
-        discarded_bytes=discarded_bytes,
         length=np.zeros(n, dtype=np.int64),
     )

@@ -17,12 +17,8 @@ how damage is detected.  Written from descriptions and other programs; not teste
 
 import re
 import time
-from binascii import unhexlify
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from daq.protocols import lines
 from daq.protocols import session as sessions
@@ -49,9 +45,6 @@ _RECORD = re.compile(rb"[rwse][0-9A-Fa-f]{10}(?:[0-9A-Fa-f]{8})?")
 _ERROR = re.compile(rb"e[0-9A-Fa-f]{0,18}")
 _BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
 _SPACE = b" \r\n"
-# Samples, each with few enough spaces to be shorter than the longest record.
-_SAMPLES = re.compile(rb"(?>[ \r\n]{0,8}+s {0,8}+[0-9A-Fa-f]{2} {0,8}+[0-9A-Fa-f]{8} {0,8}+[0-9A-Fa-f]{8} {0,8}+!)++")
-_FIELDS = np.dtype([("register", "u1"), ("count", ">u4"), ("ticks", ">u4")])
 
 
 def check(request: RecordRequest) -> None:
@@ -80,33 +73,20 @@ def make_ident(decoder: str | None) -> frames.Ident:
     )
 
 
-class RecordParser:
-    """See `daq.protocols.lines.Parser`."""
-
-    alike = _SAMPLES
-
-    def read(self, line: bytes) -> Row | NoSample:
-        """Return the values in a record; spaces in it are ignored."""
-        record = line.translate(None, _SPACE)
-        if _SAMPLE.fullmatch(record):
-            return int(record[11:], 16), int(record[3:11], 16)
-        if _BANNER.fullmatch(record):
-            return NoSample.START
-        if _RECORD.fullmatch(record) or _ERROR.fullmatch(record):
-            return NoSample.REMARK
-        return NoSample.DAMAGED | NoSample.START if _BANNER.search(record) else NoSample.DAMAGED
-
-    def read_alike(self, lines: bytes) -> NDArray[np.int64]:
-        """Return the values in n records of samples, (n, 2)."""
-        sent = np.frombuffer(unhexlify(lines.translate(None, _SPACE + b"s!")), _FIELDS)
-        return np.column_stack((sent["ticks"], sent["count"])).astype(np.int64)
-
-    def count_miss(self) -> None:
-        """Do nothing: all samples of a QSB are alike."""
+def read_record(line: bytes) -> Row | NoSample:
+    """Return the values in a record; spaces in it are ignored."""
+    record = line.translate(None, _SPACE)
+    if _SAMPLE.fullmatch(record):
+        return int(record[11:], 16), int(record[3:11], 16)
+    if _BANNER.fullmatch(record):
+        return NoSample.START
+    if _RECORD.fullmatch(record) or _ERROR.fullmatch(record):
+        return NoSample.REMARK
+    return NoSample.DAMAGED | NoSample.START if _BANNER.search(record) else NoSample.DAMAGED
 
 
 def make_reader() -> LineReader:
-    return LineReader(DELIMITER, LONGEST_RECORD, RecordParser(), trusts_first=True)
+    return LineReader(DELIMITER, LONGEST_RECORD, read_record, trusts_first=True)
 
 
 def decode_pieces(

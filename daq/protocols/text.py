@@ -42,8 +42,15 @@ from typing import TYPE_CHECKING, Any
 
 from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, explain_labels, parse_columns, with_decimals
-from daq.protocols.line_parser import LineParser
+from daq.protocols.columns import (
+    LONGEST_LINE,
+    Columns,
+    ColumnVote,
+    LineParser,
+    explain_labels,
+    parse_columns,
+    with_decimals,
+)
 from daq.protocols.lines import LineReader, LineTally
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
@@ -87,7 +94,7 @@ def make_ident(form: Columns, decoder: str | None) -> frames.Ident:
 
 def make_reader(form: Columns) -> LineReader:
     """Return a reader of lines that skips the first one: digits missing at its beginning could not be detected."""
-    return LineReader(DELIMITER, LONGEST_LINE, LineParser(form), trusts_first=False)
+    return LineReader(DELIMITER, LONGEST_LINE, LineParser(form).read, trusts_first=False)
 
 
 def decode_pieces(

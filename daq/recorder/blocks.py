@@ -1,8 +1,8 @@
 """Record blocks of samples that a program hands over: the journal, its safety and the run file are those of a board.
 
 A thread takes the program's blocks, so that the recording can be stopped while the program gives none.  Each is handed
-to the system before the next one is asked for, so that a process that is killed keeps every block that was taken;
-another thread syncs the disk meanwhile.
+to the system before the next one is asked for, so that a process that is killed keeps every block that was taken; the
+disk is synced while the next one is waited for.
 """
 
 import contextlib
@@ -74,7 +74,7 @@ def _write_recording(
     warnings: list[str],
     progress: Callable[[float], None],
 ) -> "RecordingQuality":
-    stop, rate_hz = taker.stop, taker.rate_hz
+    rate_hz = taker.rate_hz
     try:
         first = taker.next()
     except KeyboardInterrupt as error:
@@ -103,8 +103,7 @@ def _write_recording(
     with keep_journal(writer):
         if request.calibration is not None:
             writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
-        with _syncing(writer, place, stop) as lock:
-            failure = _write_blocks(first, taker, samples, writer, lock, progress)
+        failure = _write_blocks(first, taker, samples, writer, place, progress)
         writer.sync()
         place.check()
         if isinstance(failure, _WrongRateError):
@@ -125,24 +124,29 @@ def _write_blocks(
     taker: "_Taking",
     samples: int | None,
     writer: journal.Writer,
-    lock: threading.Lock,
+    place: JournalPlace,
     progress: Callable[[float], None],
 ) -> "InputError | _SourceError | None":
     """Write blocks until there are enough, or the source ends; return the error that ended it."""
+
+    def sync() -> None:
+        if writer.tick():
+            place.check()
+            if writer.is_asked_to_stop():
+                taker.stop.set()
+
     failure: InputError | _SourceError | None = None
     reason = journal.COMPLETE
     try:
         while block is not None:
             stamp = time.monotonic_ns()
-            with lock:
-                for data in blocks.pack(block.time, block.values):
-                    writer.append(journal.RECEIVED, stamp, data)
-                if writer.tick() and writer.is_asked_to_stop():
-                    taker.stop.set()
+            for data in blocks.pack(block.time, block.values):
+                writer.append(journal.RECEIVED, stamp, data)
+            sync()
             progress(taker.taken_s)
             if samples is not None and taker.taken >= samples and not taker.stop.is_set():
                 break
-            block = taker.next()
+            block = taker.next(sync)
         else:
             ended_early = samples is not None or taker.ended != journal.SOURCE_ENDED
             reason = taker.ended if ended_early else journal.COMPLETE
@@ -151,33 +155,10 @@ def _write_blocks(
         reason = journal.STOPPED
     except (InputError, _SourceError) as error:
         failure, reason = error, journal.SOURCE_FAILED
-    with lock:
-        if failure is not None:
-            writer.append(journal.LOST, time.monotonic_ns(), _describe_failure(failure).encode())
-        writer.append(journal.END, time.monotonic_ns(), json.dumps({"reason": reason}).encode())
+    if failure is not None:
+        writer.append(journal.LOST, time.monotonic_ns(), _describe_failure(failure).encode())
+    writer.append(journal.END, time.monotonic_ns(), json.dumps({"reason": reason}).encode())
     return failure
-
-
-@contextlib.contextmanager
-def _syncing(writer: journal.Writer, place: JournalPlace, stop: threading.Event) -> Iterator[threading.Lock]:
-    """Sync a journal every second while waiting for a source; yield the lock that its writers take."""
-    lock, ended = threading.Lock(), threading.Event()
-
-    def sync() -> None:
-        while not ended.wait(WAKE_S):
-            with lock, contextlib.suppress(OSError):  # the caller's thread meets the same
-                if writer.tick():
-                    place.check()
-                    if writer.is_asked_to_stop():
-                        stop.set()
-
-    thread = threading.Thread(target=sync, name="daq journal", daemon=True)
-    thread.start()
-    try:
-        yield lock
-    finally:
-        ended.set()
-        thread.join()
 
 
 class _SourceError(Exception):
@@ -273,14 +254,15 @@ class _Taking:
     def taken_s(self) -> float:
         return self._last_s - self._first_s + 1 / self.rate_hz
 
-    def next(self) -> _Block | None:
-        """Return the next block with a sample; None where there is none, for the reason ``ended``."""
+    def next(self, idle: Callable[[], None] = lambda: None) -> _Block | None:
+        """Return the next block with a sample, calling ``idle`` while it waits; None: there is none (``ended``)."""
         began = time.monotonic()
         while not self._is_over(began):
             self.items.ask()
             try:
                 item = self.items.take(WAKE_S)
             except queue.Empty:
+                idle()
                 continue
             except StopIteration:
                 self.ended = journal.SOURCE_ENDED

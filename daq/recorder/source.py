@@ -23,7 +23,7 @@ from stickslip.units import Stated, exact_in_si, read_all_stated
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
-DURATION_S = RecordRequest.duration_s  # where none is stated
+DURATION_S = RecordRequest.duration_s  # from a port, where none is stated
 APPEARS_S = "30 s"  # how long the live view waits for a recording that begins
 
 
@@ -130,36 +130,29 @@ def record(
     check_type(baud, Integral, "baud", WHERE, "a whole number, such as 115200")
     check_type(stop, threading.Event, "stop", WHERE, "a threading.Event")
     rate, length_s = exact_in_si(rate_hz, "rate", "rate_hz"), exact_in_si(seconds, "time", "seconds")
-    target = names.complete_name(Path(output))
     typed_tags = [f"{name}={value}" for name, value in (tags or {}).items()]
-    notes = NoteFlags(title, operator, sample, note, typed_tags or None).collect()
-    stated = read_all_stated(
-        mass=mass,
-        stiffness=stiffness,
-        damping=damping,
-        belt_speed=belt_speed,
-        x0=x0,
-        metres_per_count=metres_per_count,
-    )
     request = RecordRequest(
-        output=target,
+        output=names.complete_name(Path(output)),
+        duration_s=DURATION_S if length_s is None else length_s,
         force=force,
+        baud=baud,
+        protocol=protocol,
+        columns=columns,
+        decoder=decoder,
+        notes=NoteFlags(title, operator, sample, note, typed_tags or None).collect(),
+        stated=read_all_stated(
+            mass=mass,
+            stiffness=stiffness,
+            damping=damping,
+            belt_speed=belt_speed,
+            x0=x0,
+            metres_per_count=metres_per_count,
+        ),
         calibration=None if rig is None else _read_text(Path(rig)),
-        stated=stated,
-        notes=notes,
     )
     with _viewer(request.part) if live else contextlib.nullcontext():
         if isinstance(source, str):
-            request = replace(
-                request,
-                port=source,
-                rate_hz=_check_whole(rate),
-                duration_s=DURATION_S if length_s is None else length_s,
-                protocol=protocol,
-                columns=columns,
-                baud=baud,
-                decoder=decoder,
-            )
+            request = replace(request, port=source, rate_hz=_check_whole(rate))
             return record_board(request, progress=progress, say=say, stop=stop)
         if isinstance(source, Mapping) or not isinstance(source, Iterable):
             what = f"the source is a {type(source).__name__}"

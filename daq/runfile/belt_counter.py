@@ -13,27 +13,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runfile.rig import Rig
 from daq.runfile.spill import BLOCK
 from daq.wire import counters
 
 # Time over which counts are subtracted: a 7.7 um count then reads to 0.3 mm/s, and a corner is blurred by 10 ms.
 SPAN_S = 0.02
-
-
-def decode_belt(
-    values: NDArray[np.integer] | None,
-    time: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    rate_hz: float,
-    rig: Rig,
-) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
-    """Return the belt's count and speed; both None if the board sends no belt counts or their pitch is unknown."""
-    pitch = rig.belt_metres_per_count
-    if values is None or pitch is None:
-        return None, None
-    count = unwrap_count(values, rig.counter_bits, starts)
-    return count, compute_velocity(count, time, starts, rate_hz, pitch.value)
 
 
 class BeltCount:

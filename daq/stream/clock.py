@@ -26,7 +26,7 @@ Sign: a positive drift in ppm means that the device's clock runs fast.  Not mode
 the run (temperature), and the constant part of the delay, which one-way data cannot distinguish from the offset.
 """
 
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from operator import itemgetter
 
 import numpy as np
@@ -78,105 +78,80 @@ class Points:
         return self.host - self.device
 
 
-@dataclass
-class ClockPoints:
-    """Readings of both clocks over a run, collected piece by piece in order of the device's clock."""
+def compare_clocks(shelf: Shelf[Points], *, by_bytes: bool) -> ClockSync:
+    """Compare the two clocks by their readings over a run, in order of the device's clock.
 
-    spill: InitVar[Spill]
-    n: int = 0
-    first: tuple[float, float] = (0.0, 0.0)  # device and host
-    last: tuple[float, float] = (0.0, 0.0)
-    longest_pause_s: float = -np.inf
+    ``by_bytes``: both times are those of bytes on a serial line, which arrive as they are sent or at the next poll.
+    Then a wide interval means polls in step with the host, and every line within is as likely: the middle is used, of
+    drift and offset.  Whole frames that arrive at once also give a wide interval, but there the line below is right.
+    """
+    first = last = (np.nan, np.nan)  # device and host
+    pause_s = -np.inf  # the longest
+    for number, points in enumerate(shelf):
+        first = first if number else (float(points.device[0]), float(points.host[0]))
+        pause_s = float(np.max(np.diff(points.host, prepend=last[1] if number else first[1]), initial=pause_s))
+        last = float(points.device[-1]), float(points.host[-1])
+    span = last[0] - first[0]
+    if not span > 0 or abs((last[1] - first[1]) / span - 1) > max(BELIEVABLE, 0.5 / span):
+        return ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
+    bin_s = max(1.0, span / MOST_POINTS)
+    # After a pause of the computer the seconds are the host's: all that was sent meanwhile arrives in one of them.
+    by_host = pause_s > PAUSE_S
 
-    def __post_init__(self, spill: Spill) -> None:
-        self._shelf: Shelf[Points] = Shelf(spill)
+    def number_bins(points: Points) -> NDArray[np.int64]:
+        clock, begin = (points.host, first[1]) if by_host else (points.device, first[0])
+        return np.floor((clock - begin) / bin_s).astype(np.int64)
 
-    def append(self, points: Points) -> None:
-        if not len(points.device):
-            return
-        host = points.host if self.n == 0 else np.concatenate(([self.last[1]], points.host))
-        self.longest_pause_s = float(np.max(np.diff(host), initial=self.longest_pause_s))
-        if self.n == 0:
-            self.first = float(points.device[0]), float(points.host[0])
-        self.last = float(points.device[-1]), float(points.host[-1])
-        self.n += len(points.device)
-        self._shelf.append(points)
+    minima = _BinMinimum()
+    for points in shelf:
+        minima.take(points, number_bins(points), points.delay)
+    least = minima.by_number()
+    if len(least.device) < FEWEST_POINTS or span < FEWEST_POINTS:
+        return ClockSync(least.sample, least.delay, None)
+    robust = theil_sen(least.device, least.delay)
+    # The middle of the least delays is above the line by far less than this; only a wrong stamp is below it so far.
+    lowest = float(np.median(least.delay - robust * least.device)) - TOO_EARLY_S
 
-    def compare(self, *, by_bytes: bool) -> ClockSync:
-        """Compare the two clocks.
+    def is_plausible(points: Points) -> NDArray[np.bool_]:
+        return np.asarray(points.delay - robust * points.device >= lowest)
 
-        ``by_bytes``: both times are those of bytes on a serial line, which arrive as they are sent or at the next poll.
-        Then a wide interval means polls in step with the host, and every line within is as likely: the middle is used,
-        of drift and offset.  Whole frames that arrive at once also give a wide interval, but there the line below is
-        right.
-        """
-        incomparable = ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
-        if self.n < 2:
-            return incomparable
-        span = self.last[0] - self.first[0]
-        if span <= 0 or abs((self.last[1] - self.first[1]) / span - 1) > max(BELIEVABLE, 0.5 / span):
-            return incomparable
-        bin_s = max(1.0, span / MOST_POINTS)
-        # After a pause of the computer the seconds are the host's: all that was sent meanwhile arrives in one of them.
-        by_host = self.longest_pause_s > PAUSE_S
+    points_kept = rows(least, is_plausible(least))
+    hull = LowerHull()
+    for points in shelf:
+        plausible = is_plausible(points)
+        hull.take(points.device[plausible], points.delay[plausible])
+    slope = hull.fit_slope()
+    if abs(slope) > BELIEVABLE:  # no line fits because of pauses of the computer
+        return ClockSync(least.sample, least.delay, None)
+    ppm = -1e6 * slope / (1 + slope)
+    lowest_above = min(
+        float(np.min((points.delay - slope * points.device)[is_plausible(points)], initial=np.inf)) for points in shelf
+    )
 
-        def number_bins(points: Points) -> NDArray[np.int64]:
-            clock, begin = (points.host, self.first[1]) if by_host else (points.device, self.first[0])
-            return np.floor((clock - begin) / bin_s).astype(np.int64)
+    def uncertainty_s(points: Points) -> NDArray[np.float64]:
+        """Return the uncertainty of each read: its height above the line, and the time to the next one."""
+        above = points.delay - slope * points.device
+        return np.where(is_plausible(points), (points.following - points.device) + above - lowest_above, np.nan)
 
-        minima = _BinMinimum()
-        for points in self._shelf:
-            minima.take(points, number_bins(points), points.delay)
-        least = minima.by_number()
-        if len(least.device) < FEWEST_POINTS or span < FEWEST_POINTS:
-            return ClockSync(least.sample, least.delay, None)
-        robust = theil_sen(least.device, least.delay)
-        # The middle of the least delays is above the line by far less than this; only a wrong stamp is below it so far.
-        lowest = float(np.median(least.delay - robust * least.device)) - TOO_EARLY_S
-
-        def is_plausible(points: Points) -> NDArray[np.bool_]:
-            return np.asarray(points.delay - robust * points.device >= lowest)
-
-        points_kept = rows(least, is_plausible(least))
-        hull = LowerHull()
-        for points in self._shelf:
-            plausible = is_plausible(points)
-            hull.take(points.device[plausible], points.delay[plausible])
-        slope = hull.fit_slope()
-        if abs(slope) > BELIEVABLE:  # no line fits because of pauses of the computer
-            return ClockSync(least.sample, least.delay, None)
-        ppm = -1e6 * slope / (1 + slope)
-        lowest_above = min(
-            float(np.min((points.delay - slope * points.device)[is_plausible(points)], initial=np.inf))
-            for points in self._shelf
-        )
-
-        def uncertainty_s(points: Points) -> NDArray[np.float64]:
-            """Return the uncertainty of each read: its height above the line, and the time to the next one."""
-            above = points.delay - slope * points.device
-            return np.where(is_plausible(points), (points.following - points.device) + above - lowest_above, np.nan)
-
-        minima = _BinMinimum()
-        for points in self._shelf:
-            minima.take(points, number_bins(points), uncertainty_s(points))
-        sharpest = minima.by_bin()
-        sharpest = rows(sharpest, np.isfinite(uncertainty_s(sharpest)))
-        if len(sharpest.device) < 2:
-            return ClockSync(points_kept.sample, points_kept.delay, ppm)
-        below = sharpest.delay - (sharpest.following - sharpest.device)
-        read_latency, (low, high) = _bound_slopes(points_kept.device, points_kept.delay, sharpest.following, below)
-        if by_bytes:
-            points_kept = sharpest
-        gap, offset_error = points_kept.following - points_kept.device, uncertainty_s(points_kept) + read_latency
-        if by_bytes:
-            offset_error -= 0.5 * gap
-            if 0.5e6 * (high - low) > LIKELY_PPM:
-                slope = 0.5 * (low + high)
-                ppm = -1e6 * slope / (1 + slope)
-        error = 1e6 * max(high - slope, slope - low, 0.0)
-        return ClockSync(
-            points_kept.sample, points_kept.delay - (0.5 * gap if by_bytes else 0.0), ppm, error, offset_error
-        )
+    minima = _BinMinimum()
+    for points in shelf:
+        minima.take(points, number_bins(points), uncertainty_s(points))
+    sharpest = minima.by_bin()
+    sharpest = rows(sharpest, np.isfinite(uncertainty_s(sharpest)))
+    if len(sharpest.device) < 2:
+        return ClockSync(points_kept.sample, points_kept.delay, ppm)
+    below = sharpest.delay - (sharpest.following - sharpest.device)
+    read_latency, (low, high) = _bound_slopes(points_kept.device, points_kept.delay, sharpest.following, below)
+    if by_bytes:
+        points_kept = sharpest
+    gap, offset_error = points_kept.following - points_kept.device, uncertainty_s(points_kept) + read_latency
+    if by_bytes:
+        offset_error -= 0.5 * gap
+        if 0.5e6 * (high - low) > LIKELY_PPM:
+            slope = 0.5 * (low + high)
+            ppm = -1e6 * slope / (1 + slope)
+    error = 1e6 * max(high - slope, slope - low, 0.0)
+    return ClockSync(points_kept.sample, points_kept.delay - (0.5 * gap if by_bytes else 0.0), ppm, error, offset_error)
 
 
 class _BinMinimum:
@@ -286,7 +261,7 @@ class PartClock:
         self._byte_s = 0.0 if baud is None else BITS_PER_BYTE / baud
         self._reads = baud is not None
         self._by_bytes = by_bytes and self._reads
-        self._points = ClockPoints(spill)
+        self._points: Shelf[Points] = Shelf(spill)
         self._first_ns = 0
         self._samples = 0
         self._last: _FrameEnds | None = None  # the last frame, whose next frame has not come
@@ -307,7 +282,7 @@ class PartClock:
         if self._last is not None:
             self._hold(self._last, np.array([np.nan]))
             self._release(np.inf)
-        return self._points.compare(by_bytes=self._by_bytes)
+        return compare_clocks(self._points, by_bytes=self._by_bytes)
 
     def _take_part(self, piece: Piece, span: slice) -> None:
         samples, frames = piece
@@ -347,5 +322,6 @@ class PartClock:
         """Pass on the points before a time that no later one precedes: in order, frames before parts of them."""
         order = np.lexsort((self._held_kind, self._held.device))
         done = self._held.device[order] < before_s
-        self._points.append(rows(self._held, order[done]))
+        if done.any():
+            self._points.append(rows(self._held, order[done]))
         self._held, self._held_kind = rows(self._held, order[~done]), self._held_kind[order[~done]]

@@ -104,23 +104,6 @@ class Piece(NamedTuple):
     frames: Frames
 
 
-class StoredPieces:
-    """Pieces in order, put aside and read back."""
-
-    def __init__(self, spill: Spill) -> None:
-        self._samples: Shelf[Samples] = Shelf(spill)
-        self._frames: Shelf[Frames] = Shelf(spill)
-
-    def append(self, piece: Piece) -> None:
-        self._samples.append(piece.samples)
-        self._frames.append(piece.frames)
-
-    def read(self, missing: Iterable[str]) -> Iterator[Piece]:
-        """Yield the pieces without these columns."""
-        for samples, sent in zip(self._samples, self._frames, strict=True):
-            yield Piece(drop_columns(samples, missing), sent)
-
-
 @dataclass
 class _Part:
     """A part, as far as it has come, and its place on the time axis."""
@@ -278,7 +261,10 @@ class Timeline:
                         ident_number = self._number_ident(ident)
                         order = counters.FrameOrder(1e9 / (self._rate_hz * self._tick_of(ident_number)))
                     source[first:end] = max(ident_number, 0)
-                    placed_frames.append(order.place(*_select_frames(stream, first, end)))
+                    # An identification after the last frame of the stream precedes what follows.
+                    within = (stream.idents >= first) & ((stream.idents < end) | (end == len(stream.n)))
+                    sent = stream.seq[first:end], stream.ticks[first:end], stream.n[first:end]
+                    placed_frames.append(order.place(*sent, stream.idents[within] - first))
                     if new_source and (first or last_frame is not None):
                         placed_frames[-1].restart[0] = True
                 placed = arrays.joined(placed_frames)
@@ -377,17 +363,6 @@ class Timeline:
             part.start_s = by_device
         else:
             part.start_s = max(start, end_s + 1 / self._rate_hz)
-
-
-def _select_frames(
-    stream: decode.Stream, first: int, end: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return sequence numbers, times and lengths of some frames, and before which of them the board restarted.
-
-    An identification after the last frame of the stream precedes what follows.
-    """
-    in_range = (stream.idents >= first) & ((stream.idents < end) | (end == len(stream.n)))
-    return stream.seq[first:end], stream.ticks[first:end], stream.n[first:end], stream.idents[in_range] - first
 
 
 _OrderedPiece = tuple[Samples, decode.Stream, int]

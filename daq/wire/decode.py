@@ -41,7 +41,6 @@ class Stream:
     idents: NDArray[np.int64]  # (i,) the frame after each identification
     crc_frame: NDArray[np.int64]  # (c,) the frame after each damaged line
     crc_errors: int  # see `daq.wire.frames.FrameReader`
-    discarded_bytes: int
     length: NDArray[np.int64]  # (f,) each frame's bytes on the line; 0 where that is not known
     belt: NDArray[np.uint16] | None = None
     edge: NDArray[np.uint16] | None = None
@@ -104,7 +103,6 @@ class _Lines:
     others: list[tuple[int, wire.Frame]]
     ends: list[tuple[int, int]]  # of each read: its stamp, and how many lines it ended
     parts: list[tuple[int, int, int]]  # reads that ended inside a line: stamp, line, its bytes so far
-    dropped_bytes: int  # of endless lines
 
 
 def decode_pieces(
@@ -146,12 +144,12 @@ def _read_lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterat
     length = array("q")
     ends: list[tuple[int, int]] = []
     parts: list[tuple[int, int, int]] = []
-    dropped = bytes_taken = 0
+    bytes_taken = 0
 
     def pack() -> _Lines:
         size, samples, rest = _group_lines(bodies)
         others = [(line, frame) for line in rest if (frame := wire.decode_payload(bodies[line][:-2], False, False))]
-        return _Lines(bodies, np.array(length), size, samples, others, ends, parts, splitter.dropped_bytes - dropped)
+        return _Lines(bodies, np.array(length), size, samples, others, ends, parts)
 
     for stamp, read in reads:
         for begin in range(0, len(read), _READ_AT_ONCE):
@@ -167,7 +165,7 @@ def _read_lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterat
                 carried = [(stamp_ns, 0, count) for stamp_ns, line, count in parts if line == len(bodies)]
                 parts = [part for part in parts if part[1] < len(bodies)]
                 yield pack()
-                dropped, bytes_taken = splitter.dropped_bytes, 0
+                bytes_taken = 0
                 bodies, length, ends, parts = [], array("q"), [], carried
     yield pack()
 
@@ -243,7 +241,6 @@ def _build_stream(
         crc_frame=before[damaged],
         crc_errors=len(damaged),
         unknown=len(unknown),
-        discarded_bytes=lines.dropped_bytes + int(lines.sent_bytes[size == 0].sum() + unknown.sum()),
         length=lines.sent_bytes[frame_line] + 1,
         part_stamp_ns=part_ns[inside],
         part_frame=before[part_line[inside]],

@@ -307,16 +307,10 @@ class FrameReader:
     def __init__(self) -> None:
         self.crc_errors = 0
         self.unknown = 0
-        self._discarded_bytes = 0
         self._belt = False
         self._edge = False
         self._splitter = Splitter(DELIMITER, LONGEST_LINE)
         self._first = True
-
-    @property
-    def discarded_bytes(self) -> int:
-        """Bytes of damaged and unknown frames, delimiters not included (of an unknown frame: its payload)."""
-        return self._discarded_bytes + self._splitter.dropped_bytes
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that the bytes complete, in order."""
@@ -325,7 +319,6 @@ class FrameReader:
             frame = decode_payload(payload, self._belt, self._edge)
             if frame is None:
                 self.unknown += 1
-                self._discarded_bytes += len(payload)
                 continue
             if isinstance(frame, Ident):
                 self._belt = Capability.BELT in frame.capabilities
@@ -339,8 +332,6 @@ class FrameReader:
         checked = [_check_crc(body) for body in unstuff(lines)]
         payloads = [payload for payload in checked if payload is not None]
         if len(payloads) < len(checked):
-            damaged = [len(line) for line, payload in zip(lines, checked, strict=True) if payload is None]
-            self.crc_errors += len(damaged) - (self._first and checked[0] is None)
-            self._discarded_bytes += sum(damaged)
+            self.crc_errors += len(checked) - len(payloads) - (self._first and checked[0] is None)
         self._first = self._first and not lines
         return payloads

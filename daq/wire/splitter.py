@@ -9,11 +9,9 @@ class Splitter:
 
     delimiter: One byte; it ends a line and is not part of it.
     longest: Bytes of the longest line.
-    dropped_bytes: Bytes of endless lines that were dropped after the line had been returned.
     """
 
     def __init__(self, delimiter: bytes, longest: int) -> None:
-        self.dropped_bytes = 0
         self._delimiter = delimiter
         self._longest = longest
         self._tail = b""
@@ -23,29 +21,20 @@ class Splitter:
     def pending_bytes(self) -> int:
         return len(self._tail)
 
-    def cut_lines(self, data: bytes) -> bytes:
-        """Return the lines that the bytes complete, in order, each with its delimiter.
-
-        A line that is too long has one, too, where it is cut.
-        """
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the lines that the bytes complete, in order, empty ones too, without delimiters."""
         joined = self._tail + data
         end = joined.rfind(self._delimiter) + 1
         block, self._tail = joined[:end], joined[end:]
         if self._dropping and block:
-            rest, _, block = block.partition(self._delimiter)
-            self.dropped_bytes += len(rest)
+            _, _, block = block.partition(self._delimiter)
             self._dropping = False
         if self._dropping:
-            self.dropped_bytes += len(self._tail)
             self._tail = b""
         elif len(self._tail) > self._longest:
             block += self._tail + self._delimiter
             self._tail = b""
             self._dropping = True
-        return block
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Return the lines that the bytes complete, in order, empty ones too, without delimiters."""
-        lines = self.cut_lines(data).split(self._delimiter)
+        lines = block.split(self._delimiter)
         lines.pop()
         return lines

@@ -1,8 +1,7 @@
 """The log of a command, by Python's `logging`: on stderr with ``--verbose``, in a file with ``--log FILE``.
 
 Both flags go with every command and are taken off the command line before it is parsed.  Modules log to the logger of
-their name; other packages' logs are left out.  A log decides nothing: what it cannot write is dropped, and a file is
-written by a thread of its own, so that a slow disk delays nobody.
+their name; other packages' logs are left out.  A log decides nothing: what it cannot write is dropped.
 """
 
 import contextlib
@@ -97,9 +96,6 @@ def _handlers(flags: LogFlags, stack: contextlib.ExitStack) -> Iterator[tuple[lo
         console_handler.setFormatter(_Printable("%(message)s"))
         yield console_handler, logging.INFO
     if flags.file is not None:
-        import queue
-        from logging.handlers import QueueHandler, QueueListener
-
         _refuse_foreign(flags.file)
         stream = _open_log(flags.file)
         if stream is None:
@@ -107,11 +103,7 @@ def _handlers(flags: LogFlags, stack: contextlib.ExitStack) -> Iterator[tuple[lo
         stack.callback(_close, stream)
         file_handler = logging.StreamHandler(stream)
         file_handler.setFormatter(_Printable("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%F %T"))
-        records: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
-        listener = QueueListener(records, file_handler)
-        listener.start()
-        stack.callback(listener.stop)
-        yield QueueHandler(records), logging.DEBUG
+        yield file_handler, logging.DEBUG
 
 
 def _open_log(file: Path) -> TextIO | None:

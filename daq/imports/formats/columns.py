@@ -3,7 +3,7 @@
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.imports.lines import TOGETHER, Rows, number_lines
 from daq.imports.source import MOST_BYTES, Source, check_size, read, shorten
 from daq.imports.table import Table
 from daq.runfile.isolation import BrokenOffError, Work, run_isolated
@@ -89,15 +90,18 @@ def build_table(path: Path, message: bytes, kind: str, content: str) -> Table:
     for clock in clocks if len(clocks) > 1 else ():
         first_name = next(column.name for column in columns if column.clock == clock)
         names.append(f"Time of {first_name.split(' (')[0]} (s)")
-    cells = [list(map(repr, (begin + step * np.arange(length)).tolist())) for begin, step in clocks]
-    cells += [list(map(repr, column.values.tolist())) for column in columns]
+    values = [*(begin + step * np.arange(length) for begin, step in clocks), *(column.values for column in columns)]
     names += [column.name for column in columns]
-    rows: list[Sequence[str]] = list(zip(*cells, strict=True))
+    texts = []
+    for first in range(0, length, TOGETHER):
+        cells = (map(repr, each[first : first + TOGETHER].tolist()) for each in values)
+        texts.append("\n".join(map("\t".join, zip(*cells, strict=True))))
+    lines = number_lines("\n".join(texts))
     return Table(
         path,
         tuple(names),
-        rows,
-        list(range(1, length + 1)),
+        Rows(lines, "\t"),
+        lines.number,
         len(names),
         delimiter="",
         decimal=".",

@@ -17,6 +17,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from daq.imports import layout, source
 from daq.imports.table import Table
 from stickslip.errors import InputError
@@ -90,7 +92,8 @@ def read(path: Path, text: str) -> Table:
         numbers += segment.lines
     recorded = " ".join(header.get(tag, [""])[0].strip() for tag in ("Date", "Time")).strip()
     header_line = first.lines[0] - 1
-    cells = Table(path, tuple(names), rows, numbers, len(names), separator, decimal, header_line, "LabVIEW", recorded)
+    lines_of_rows, width = np.array(numbers, np.int32), len(names)
+    cells = Table(path, tuple(names), rows, lines_of_rows, width, separator, decimal, header_line, "LabVIEW", recorded)
     return replace(cells, clocks=tuple(clocks), starts=tuple(starts) or (0,))
 
 
@@ -168,11 +171,12 @@ def _find_decimal(cells: Sequence[str]) -> str:
 def _name_columns(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[str], list[int | None]]:
     """Return the names of the columns with their units, and of each channel the column with its times."""
     units = segment.tags.get("Y_Unit_Label", [])
-    channels = [(column, name) for column, name in enumerate(segment.names) if name != _COLUMNS]
-    count = len({clock for clock, _ in _assign_clocks(segment, kind, decimal, where)})
+    channels = [name for name in segment.names if name != _COLUMNS]
+    assigned = _assign_clocks(segment, kind, decimal, where)
+    count = len({clock for clock, _ in assigned})
     names = ["Time (s)"] if count == 1 else [f"Time {number + 1} (s)" for number in range(count)]
     clocks: list[int | None] = [None] * count
-    for (_, name), (clock, column) in zip(channels, _assign_clocks(segment, kind, decimal, where), strict=True):
+    for name, (clock, column) in zip(channels, assigned, strict=True):
         unit = units[column] if column < len(units) else ""
         names.append(f"{name} ({unit})" if unit else name)
         clocks.append(clock)

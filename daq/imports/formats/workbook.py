@@ -15,6 +15,7 @@ from typing import Any
 
 from daq.imports import layout, source, table
 from daq.imports.formats.columns import parse_isolated, refuse_unreadable, require
+from daq.imports.lines import number_lines
 from daq.imports.table import Table
 from stickslip.compute.stages import Stages, silent
 from stickslip.errors import InputError
@@ -42,7 +43,8 @@ def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = si
         sheet = tables[0]
     elif sheet not in sheets:
         raise InputError(f"no sheet {sheet!r}", where, f"the sheets are: {source.shorten(map(repr, sheets))}")
-    cells = table.parse_lines(path, sheets[sheet], preamble, progress, delimiter_known="\t")
+    lines = number_lines("\n".join(text for _, text in sheets[sheet]), [number for number, _ in sheets[sheet]])
+    cells = table.parse_lines(path, lines, preamble, progress, delimiter_known="\t")
     return replace(cells, kind="workbook", sha256=answer["sha256"], modified_s=answer["modified_s"])
 
 

@@ -11,7 +11,7 @@ import daq
 from daq.finalise import run as finalise
 from daq.finalise.quality import RecordingQuality
 from daq.runfile import journal, spill
-from daq.runfile.spill import Spill
+from daq.runfile.spill import Shelf, Spill
 from daq.stream import clock as clock_sync
 from daq.wire import frames as wire
 
@@ -20,10 +20,11 @@ from ...journals import HEADER, write_journal
 
 def compare(host, device, following=None, *, by_bytes=False):
     """Return how the clocks went together by points that come in one piece, numbered from 0."""
-    points = clock_sync.ClockPoints(Spill())
+    points = Shelf(Spill())
     following = np.full(len(device), np.nan) if following is None else following
-    points.append(clock_sync.Points(host, device, following, np.arange(len(device))))
-    return points.compare(by_bytes=by_bytes)
+    if len(device):
+        points.append(clock_sync.Points(host, device, following, np.arange(len(device))))
+    return clock_sync.compare_clocks(points, by_bytes=by_bytes)
 
 
 def late_by_usb(device, drift, rng, batch_s=0.016):
@@ -182,12 +183,12 @@ def test_an_hour_takes_no_more_than_the_wider_bins():
 def test_points_that_were_put_aside_are_not_all_brought_back(monkeypatch):
     # With one point of each second, all that were read back with it were kept: 62 MB of 1.6 million points, now 11 MB.
     monkeypatch.setattr(spill, "MEMORY_BYTES", 0)
-    points = clock_sync.ClockPoints(Spill())
+    points = Shelf(Spill())
     for begin in range(0, 160_000, 4000):
         device = 2.5e-4 * np.arange(begin, begin + 4000)
         points.append(clock_sync.Points(device + 0.01, device, device + 2.5e-4, np.arange(begin, begin + 4000)))
     tracemalloc.start()
-    assert points.compare(by_bytes=False).ppm == pytest.approx(0, abs=1e-3)
+    assert clock_sync.compare_clocks(points, by_bytes=False).ppm == pytest.approx(0, abs=1e-3)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 2.5e6  # all points are 5.1 MB

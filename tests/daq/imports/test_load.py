@@ -1,6 +1,9 @@
 """`daq.load` reads what `daq import` reads, in memory; its keywords are the flags."""
 
 import json
+import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -76,3 +79,24 @@ def test_the_date_of_an_imported_file_is_said_to_be_that(table, tmp_path, capsys
     said = capsys.readouterr().out
     assert f"file of {found.started[:10]}" in said
     assert "  2024-05-01 12:00" in said
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="the peak of a process's memory is read as Linux has it"
+)
+def test_an_hour_at_1_khz_takes_300_mb(tmp_path):
+    # Every cell was a string of its own: 2085 MB.
+    track = tmp_path / "track.csv"
+    with track.open("w") as file:
+        file.write("t (s),x (mm)\n")
+        file.writelines(f"{k / 1000:.3f},{20 * math.sin(0.004 * k):.4f}\n" for k in range(3_600_000))
+    # Not ru_maxrss, which a process inherits from the one that started it.
+    measure = (
+        "import sys, daq; print(daq.load(sys.argv[1]).time.size);"
+        "print(*(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')))"
+    )
+    done = subprocess.run([sys.executable, "-c", measure, str(track)], capture_output=True, text=True, check=True)
+    samples, peak = map(int, done.stdout.split())
+    assert samples == 3_600_000
+    assert peak < 300_000

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daq.cli import files
-from daq.imports import layout, table, table_to_run
+from daq.cli.app import app as commands
+from daq.imports import layout, lines, table, table_to_run
+from daq.imports.lines import number_lines
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 from stickslip import units
@@ -99,7 +100,7 @@ def test_any_table_reads_back(tmp_path, rows, how, head):
     text = (delimiter.join("abc") + "\n" if head else "") + "\n".join(lines) + "\n"
     path = tmp_path / "t.csv"
     path.write_text(text)
-    found = table.parse_lines(path, enumerate(text.split("\n"), start=1), 0, stages.silent)
+    found = table.parse_lines(path, number_lines(text), 0, stages.silent)
     assert (found.delimiter, found.decimal) == how
     values, _, bad = found.columns([(column, found.number, "a number") for column in range(3)], skip=False)
     assert values.T.tolist() == [list(row) for row in rows]
@@ -121,7 +122,7 @@ CELL = st.sampled_from(
 def test_cells_converted_together_are_converted_as_one_by_one(rows, decimal, alike):
     """Each cell of a long table used to be matched by itself: 12 CPU s for 376 s at 2 kHz."""
     rows = [row[:1] * 2 if alike else row for row in rows]
-    cells = table.Table(Path("x.csv"), (), rows, list(range(1, len(rows) + 1)), 2, ";", decimal)
+    cells = table.Table(Path("x.csv"), (), rows, np.arange(1, len(rows) + 1), 2, ";", decimal)
     together = [(0, cells.number, "a number"), (1, cells.number, "a number")]
     one_by_one = [(column, lambda cell: cells.number(cell), kind) for column, _, kind in together]
     with pytest.MonkeyPatch.context() as patch:
@@ -129,7 +130,7 @@ def test_cells_converted_together_are_converted_as_one_by_one(rows, decimal, ali
         found, used, bad = cells.columns(together, skip=True)
     values, good, skipped = cells.columns(one_by_one, skip=True)
     assert found.tobytes() == values.tobytes()
-    assert (used, bad) == (good, skipped)
+    assert (used.lines.tolist(), bad) == (good.lines.tolist(), skipped)
     plain = layout.read_plain_numbers([row[0] for row in rows], decimal) if rows else []
     assert plain is None or plain == [layout.read_number(row[0], decimal) for row in rows]
 
@@ -293,9 +294,7 @@ def test_what_is_no_quantity_is_refused(text, words):
 
 @pytest.fixture
 def app():
-    made = application.application("daq", "files", "daq import track.csv")
-    files.register(made)
-    return made
+    return commands
 
 
 def test_the_command_writes_a_run_that_loads(csv, app, capsys):
@@ -423,13 +422,14 @@ def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv):
 
 
 def test_progress_counts_the_lines_of_each_stage(csv, monkeypatch):
-    monkeypatch.setattr(table, "TOGETHER", 2000)
+    for module in (lines, table):
+        monkeypatch.setattr(module, "TOGETHER", 2000)
     done = []
     table_to_run.read(
         make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options(), lambda *stage: done.append(stage)
     )
-    lines = (("reading lines", 4802), ("splitting lines", 4801), ("reading numbers", 4800))  # the last one is empty
-    assert done == [(stage, begin, whole) for stage, whole in lines for begin in (0, 2000, 4000)]
+    stages_of = (("reading lines", 4802), ("splitting lines", 4801), ("reading numbers", 4800))  # the last one is empty
+    assert done == [(stage, begin, whole) for stage, whole in stages_of for begin in (0, 2000, 4000)]
 
 
 def test_the_time_column_is_named_with_its_unit_or_as_times_of_day(csv):

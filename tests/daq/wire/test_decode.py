@@ -92,7 +92,6 @@ def test_a_stream_holds_what_the_frame_reader_returns(seed, cuts):
     assert [text for _, text in found.notices] == [frame.text for frame in frames if isinstance(frame, wire.Notice)]
     assert len(found.idents) == sum(isinstance(frame, Ident) for frame in frames)
     assert (found.crc_errors, found.unknown) == (reader.crc_errors, reader.unknown)
-    assert found.discarded_bytes == reader.discarded_bytes
 
 
 @settings(max_examples=30)
@@ -130,7 +129,7 @@ def test_an_endless_line_is_one_damaged_frame_and_a_first_one_none():
     for endless, errors in ((good + b"\x07" * 20_000, 1), (b"\x07" * 20_000, 0), (b"\x07" * 20_000 + b"\0" + good, 0)):
         for size in (512, 40_000):
             found = decode_whole(in_reads(endless, [size]))
-            assert (found.crc_errors, found.discarded_bytes) == (errors, 20_000)
+            assert found.crc_errors == errors
 
 
 def test_the_layout_is_that_of_the_identification_before_the_samples():
