@@ -34,8 +34,8 @@ LONGEST = (
     "fitting/test_processors.py",
     "contract/test_recording_survives.py",
     "browser/test_live_page.py",
-    "fitting/selection/test_joint.py",
-    "fitting/selection/test_own_laws.py",
+    "fitting/judge/test_joint.py",
+    "fitting/judge/test_own_laws.py",
     "contract/test_protocols.py",
     "test_notebook.py",
 )

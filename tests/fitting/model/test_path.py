@@ -13,7 +13,7 @@ from fitting.model.path import Curve, FrictionSpline, follow, spline_curve
 from fitting.model.tangents import local_tangents, shared_tangents, spline_tangents, tangents
 from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 
-from ..exact_flow import evaluator
+from .exact_flow import evaluator
 
 K, F, V = 35.184, 4.598, 0.22
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2

@@ -18,7 +18,7 @@ from fitting.model.tangents import local_tangents, shared_tangents
 from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
 
-from ..exact_flow import evaluator
+from .exact_flow import evaluator
 
 K, F, BELT, LEVEL = 35.184, 4.598, 0.22, 0.05
 STRETCH = F * math.exp(LEVEL) / K  # m; of the spring where the level of slip is reached

@@ -11,7 +11,7 @@ import fitting
 import processing
 from stickslip.errors import DataError
 
-SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
+SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 SLOPE = 9.6  # gamma of the scene, s/m
 
 

@@ -15,6 +15,12 @@ TRUE = {
     "logarithmic": {"Fs": 4.6, "b": 0.5, "v_0": 0.03},
     "power": {"Fs": 4.6, "b": 3.0, "p": 0.4},
 }
+# Beside these: falls over a hundredth of the speeds and over most of them.
+EXTREME = {
+    "stribeck": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.004},
+    "stribeck-gaussian": {"Fs": 4.6, "Fc": 1.7, "v_s": 0.4},
+    "logarithmic": {"Fs": 9.0, "b": 0.3, "v_0": 1e-7},
+}
 
 
 def of(law, values):
@@ -24,11 +30,18 @@ def of(law, values):
     return Target.of(s, friction, float(np.median(friction)))
 
 
-@pytest.mark.parametrize("name", list(TRUE))
-def test_a_published_curve_is_found_without_starting_values(name):
-    found = find_starts(PUBLISHED[name], of(PUBLISHED[name], TRUE[name]))[0].values
-    for parameter, true in TRUE[name].items():
-        assert found[parameter] == pytest.approx(true, rel=1e-4)
+@pytest.mark.parametrize(("name", "true"), TRUE.items())
+def test_a_published_curve_is_found_without_starting_values(name, true):
+    law = PUBLISHED[name]
+    assert find_starts(law, of(law, true))[0].values == pytest.approx(true, rel=1e-4)
+
+
+@pytest.mark.parametrize(("name", "true"), [*(TRUE | EXTREME).items()])
+def test_a_published_curve_is_found_from_rest_on(name, true):
+    law, speeds = PUBLISHED[name], np.linspace(0.0, 0.5, 200)
+    found = find_starts(law, Target.of(speeds, law.curve.value(speeds, true | dict(law.fix or {})), 1e-3))[0]
+    assert found.values == pytest.approx(true, rel=1e-3)
+    assert found.misfit < 1e-2
 
 
 def test_values_stay_within_their_bounds():
