@@ -87,12 +87,12 @@ def simulated(tmp_path_factory):
 def one_window():
     """Give a function that returns the samples of one stick or slip, of one cycle."""
 
-    def of(*, stick=0, overtakes=0, rate=1000.0, seconds=1.2):
-        time = 2.0 + np.arange(round(seconds * rate)) / rate
+    def of(*, stick=0, overtakes=0, rate=1000.0, begin=2.0, seconds=1.2, earliest_landing=2.2, level_epoch=1.9):
+        time = begin + np.arange(round(seconds * rate)) / rate
         return ShootingWindows(
             table=np.array([[0, stick, 0, time.size, overtakes, 0]], np.int64),
-            level_epoch=np.array([1.9]),
-            earliest_landing=np.array([2.2]),
+            level_epoch=np.array([level_epoch]),
+            earliest_landing=np.array([earliest_landing]),
             time=time,
             position=np.zeros(time.size),
             source=np.zeros(time.size, np.int64),

@@ -15,14 +15,13 @@ from scipy.integrate import solve_ivp
 from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP
 from fitting.model.path import Curve, follow
 from fitting.model.tangents import local_tangents, shared_tangents
-from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.model.unknowns import Global, PerCycle
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
 
-from .exact_flow import evaluator
+from .exact_flow import HYPERBOLIC, LINEAR, F, K, exact_positions, unknowns
 
-K, F, BELT, LEVEL = 35.184, 4.598, 0.22, 0.05
+LEVEL = 0.05
 STRETCH = F * math.exp(LEVEL) / K  # m; of the spring where the level of slip is reached
-LINEAR, HYPERBOLIC = 1, 2
 SHAPE = {LINEAR: 0.4, HYPERBOLIC: 9.6}  # s/m
 RIPPLE = {"cosine": 3e-3, "sine": -2e-3, "omega": 14.0}
 TIGHT = {"rtol": 1e-12, "atol": 1e-14}
@@ -60,12 +59,7 @@ class Slip:
 
     @property
     def u(self):
-        u = np.zeros(PER_RUN)
-        u[: Global.D] = K, np.log(F), BELT, SHAPE[self.curve]
-        u[[Global.DAMPING, Global.STATIC]] = 0.03, 1.0
-        for name, value in self.changes.items():
-            u[Global[name.upper()]] = value
-        return u
+        return unknowns(shape=SHAPE[self.curve], **self.changes)
 
     @property
     def local(self):
@@ -93,8 +87,7 @@ def exact(one_window):
 
 def flowed(slip, windows, u, local):
     """Positions of the exact flow, m."""
-    evaluate = evaluator(slip.curve, slip.ramp, windows, u, [], np.ones(PER_RUN), np.ones(PER_CYCLE))
-    return evaluate(np.zeros(0), local, False)[0]
+    return exact_positions(slip.curve, slip.ramp, windows, u, local)
 
 
 def stepped(slip, windows, u, local, longest=math.inf):
