@@ -186,14 +186,20 @@ def test_several_runs_have_residuals_each_and_no_common_time(joint):
 
 
 def test_where_no_law_describes_the_record_tables_say_what_to_take(run):
-    found = fitting.rank(run, laws=3)
+    found = fitting.rank(run, laws=1)
     assert found.adequacy.rejected
     for table in (lambda: found.covariance, lambda: found.correlation, lambda: found.bootstrap(2)):
         with pytest.raises(StickslipError, match=r"take ranking.curve, which needs no law"):
             table()
     assert len(found.curve) > 100
     assert found.residuals.residual_m.std() > 10 * found.adequacy.noise_m
-    assert np.isnan(found.to_xarray().stderr.sel(law="3", parameter="k/m"))
+    assert np.isnan(found.to_xarray().stderr.sel(law="1", parameter="k/m"))
+
+
+@pytest.mark.parametrize("call", [lambda t, x: fitting.rank(t, x, laws=5), daq.Recording.from_arrays])
+def test_positions_in_mm_are_asked_about(run, call):
+    with pytest.warns(UserWarning, match="are the positions in m"):
+        call(run.time, 1000 * run.position)
 
 
 def raised():
