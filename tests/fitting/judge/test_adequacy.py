@@ -52,6 +52,7 @@ def test_a_stribeck_contact_is_none_of_the_six_and_its_curve_is_measured(belt_ri
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 def test_a_weak_guide_is_named_although_a_curve_comes_near(foreign, tmp_path):
     """Nothing was named: the curve leaves no more than the noise, and only the curve was tested for departures."""
     found = rank(foreign(tmp_path / "t.csv", count=7.67e-6, code=5, Fg=0.06), laws=(3, 5)).adequacy
@@ -74,15 +75,16 @@ def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
 
 
 @pytest.mark.usefixtures("asked_law_alone")
-def test_a_mass_that_grazes_the_belt_has_no_break_aways(belt_rig, monkeypatch):
+def test_a_mass_that_grazes_the_belt_has_no_break_aways(smoothed, monkeypatch):
     """Constant friction has no break-away from rest: all 9 records of laws 1 and 2 were said to age by 4 to 9 %."""
     other = Finding("break-away", "", 1.08, 1.0, 9.0)
     monkeypatch.setattr(answer, "find_other_break_away", lambda *_: [other])
-    assert other not in rank(smooth(belt_rig.recording(law=2, duration=8.0)), laws=(2,)).findings
-    assert other in rank(smooth(belt_rig.recording(law=5, duration=8.0)), laws=(5,)).findings
+    assert other not in rank(smoothed(law=2, duration=8.0), laws=(2,)).findings
+    assert other in rank(smoothed(law=5, duration=8.0), laws=(5,)).findings
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 def test_the_smallest_visible_departure_is_seen_in_about_half_of_all_records(foreign, tmp_path):
     """Friction that varies with the position by three times as much is seen, by a third it is not."""
     known = rank(foreign(tmp_path / "t.csv", code=5), laws=(5,)).adequacy

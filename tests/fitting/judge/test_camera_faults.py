@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.judge import law_fits
-from fitting.record import motion as frame
 from processing.smoothing import smooth
 from stickslip.errors import DataError
+
+from ..frames import cut, in_frame
 
 
 def spoilt(kind, time, position):
@@ -49,7 +49,7 @@ def faulty(belt_rig, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def clean(faulty):
+def clean(faulty, asked_laws_alone):
     """Give a function that ranks a sound track by laws 3 and 5, once for each law that made it."""
     return cache(lambda law: rank(faulty("", law), laws=(3, 5)))
 
@@ -57,12 +57,12 @@ def clean(faulty):
 def test_samples_left_out_by_the_smoothing_are_no_data_of_the_fit(faulty):
     # The smoothed estimate stood in their place and was fitted: 400 ms of a frozen sensor counted as positions.
     made = faulty("frozen for 400 ms four times", 5)
-    motion = frame.from_kinematics(made, made.recording.rig, None)
+    run = cut(made)
+    motion = run.motion
     assert made.frozen > 4 * 150
     assert motion.time.size == made.samples - made.frozen
     assert np.array_equal(motion.measured, made.recording.position[~made.missing])
     assert motion.broken.sum() == 1 + 4  # the first sample, and the end of each hole
-    run = law_fits.cut_run(motion, frozenset())
     held = made.time[made.missing]
     for cycle in run.cut.used:
         for first, end in (cycle.stick, cycle.slip):
@@ -73,7 +73,7 @@ def test_samples_left_out_by_the_smoothing_are_no_data_of_the_fit(faulty):
 def test_a_step_of_the_position_is_no_part_of_the_fit(faulty):
     # The fit had a step within a window, and from there on another datum.
     clean, moved = faulty("", 5), faulty("moved twice", 5)
-    motion, sound = (frame.from_kinematics(made, made.recording.rig, None) for made in (moved, clean))
+    motion, sound = in_frame(moved), in_frame(clean)
     assert len(moved.losses) == 2
     assert np.abs(motion.measured - sound.measured).max() < 5 * sound.resolution
     assert np.abs(motion.position - sound.position).max() < 5 * sound.resolution
@@ -97,6 +97,7 @@ def test_frames_lost_are_found_in_the_residuals_where_noise_hides_single_ones(fa
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 @pytest.mark.parametrize(
     ("kind", "law"),
     [

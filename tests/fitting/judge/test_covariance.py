@@ -10,12 +10,11 @@ from daq.runfile.rig import Rig
 from fitting.judge.parameters import correlations, covariance, derived_parameters, without_level_errors
 from fitting.laws import SIX
 from fitting.least_squares.normal_equations import NormalEquations
-from fitting.model.problem import Run
-from fitting.record import cycles
-from fitting.record import motion as frame
 from fitting.search.exchange import fit_laws
 from processing.smoothing import smooth
 from stickslip.units import Measured
+
+from ..frames import cut
 
 
 def fit_with(slopes, guess):
@@ -89,9 +88,9 @@ def test_what_two_unknowns_show_together_is_no_narrower_than_by_the_curvature():
 def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cycles(belt_rig):
     # The prior of the levels, five times wider than their scatter, went into it: it was four times too large.
     recording = replace(belt_rig.recording(law=5, delta=5e-5), rig=Rig())
-    motion = frame.from_kinematics(smooth(recording), recording.rig, None)
-    (fit,) = fit_laws((SIX[5],), [Run(motion, cycles.segment_cycles(motion))])
-    level = derived_parameters(fit, motion, 0.05)["Fs/m"]
+    run = cut(smooth(recording))
+    (fit,) = fit_laws((SIX[5],), [run])
+    level = derived_parameters(fit, run.motion, 0.05)["Fs/m"]
     assert level.stderr == pytest.approx(level.value * fit.noise.scatter / np.sqrt(len(fit.rows)), rel=0.3)
     assert level.lo < 35.184 * 0.13068 < level.hi
 
@@ -100,9 +99,9 @@ def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cyc
 def test_levels_that_differ_by_their_errors_alone_do_not_show_the_belt_speed_of_a_ramp(belt_rig):
     """Without a datum and without scatter only v_dr - d is known; v_dr used to be off by a hundred standard errors."""
     recording = replace(belt_rig.recording(law=4, scatter=0.0), rig=Rig())
-    motion = frame.from_kinematics(smooth(recording), recording.rig, None)
-    (fit,) = (without_level_errors(one) for one in fit_laws((SIX[4],), [Run(motion, cycles.segment_cycles(motion))]))
-    found = derived_parameters(fit, motion, 0.05)
+    run = cut(smooth(recording))
+    (fit,) = fit_laws((SIX[4],), [run])
+    found = derived_parameters(without_level_errors(fit), run.motion, 0.05)
     assert found["v_dr"].lo < belt_rig.Scene().belt < found["v_dr"].hi
     assert found["v_dr"].stderr > 0.2 * found["d"].value
     assert "Fs/m" not in found

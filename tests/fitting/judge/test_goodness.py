@@ -4,7 +4,6 @@ The motion is made by the generator of the tests, or by one that shares nothing 
 """
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -19,24 +18,19 @@ from processing.smoothing import smooth
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 
 
-@pytest.fixture(scope="module")
-def true_law(belt_rig, asked_laws_alone):
-    """Give a function that ranks the law alone that a record obeys, once."""
-    return cache(lambda law: rank(smooth(belt_rig.recording(law=law, duration=12.0)), laws=(law,)))
+def binned_slips(slips, samples):
+    """Return bins of slips of 60 bins, the rows of each slip, and a wave that all slips repeat."""
+    rows, (slip, phase) = np.arange(slips * samples), np.divmod(np.arange(slips * 60), 60)
+    bins = SlipBins(rows, rows[::8], slip, phase, np.full(slips * 60, 8.0), slips, 60)
+    cycles = [slice(k * samples, (k + 1) * samples) for k in range(slips)]
+    return bins, cycles, np.tile(np.sin(2 * np.pi * 3 * np.arange(samples) / samples), slips)
 
 
 def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
-    rng = np.random.default_rng(2)
-    slips, samples = 20, 480
-    count = np.full(slips * 60, 8.0)
-    slip, phase = np.divmod(np.arange(slips * 60), 60)
-    rows = np.arange(slips * samples)
-    bins = SlipBins(rows, rows[::8], slip, phase, count, slips, 60)
-    noise = rng.standard_normal((slips * samples, 2))
-    wave = np.sin(2 * np.pi * 3 * np.arange(samples) / samples)
-    noise[:, 1] += 0.7 * np.tile(wave, slips)
-    noise[:samples] *= 50.0  # a spoilt slip
-    cycles = [slice(k * samples, (k + 1) * samples) for k in range(slips)]
+    bins, cycles, wave = binned_slips(20, 480)
+    noise = np.random.default_rng(2).standard_normal((wave.size, 2))
+    noise[:, 1] += 0.7 * wave
+    noise[:480] *= 50.0  # a spoilt slip
     found = bins.statistics(noise, cycle_squares(noise, cycles))
     assert found.repeat == pytest.approx([0.0, 0.66], abs=0.03)
     assert found.smooth == pytest.approx([1.0, 2.4], abs=0.2)
@@ -45,11 +39,7 @@ def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
 
 def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
     """Where no wave shows, the figure was the end of the search: 210 and 500 % of Fs in records that never stick."""
-    slips, samples = 12, 480
-    rows, (slip, phase) = np.arange(slips * samples), np.divmod(np.arange(slips * 60), 60)
-    bins = SlipBins(rows, rows[::8], slip, phase, np.full(slips * 60, 8.0), slips, 60)
-    cycles = [slice(k * samples, (k + 1) * samples) for k in range(slips)]
-    wave = np.tile(np.sin(2 * np.pi * 3 * np.arange(samples) / samples), slips)
+    bins, cycles, wave = binned_slips(12, 480)
     rejected = []
 
     def binned(wave):
@@ -57,28 +47,22 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
 
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        noise = rng.standard_normal((slips * samples, 90))
+        noise = rng.standard_normal((wave.size, 90))
         null = bins.statistics(noise[:, :60], cycle_squares(noise[:, :60], cycles))
-        run = RunSlips(None, 1.0, bins, 0.0, None, null, np.ones(slips, bool), ())
+        run = RunSlips(None, 1.0, bins, 0.0, None, null, np.ones(12, bool), ())
         size = goodness.half_seen(run, *binned(wave))
         for residual in (noise[:, 60:] + size * wave[:, None]).T[:, :, None]:
             seen = bins.statistics(residual, cycle_squares(residual, cycles))
             rejected.append(probability(replace(run, seen=seen)) < REJECTED)
     assert 0.2 < np.mean(rejected) < 0.8
-    noise = rng.standard_normal(wave.size)
-    assert goodness.half_seen(run, *binned(noise)) == np.inf
+    assert goodness.half_seen(run, *binned(rng.standard_normal(wave.size))) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():
-    rng = np.random.default_rng(3)
-    null = rng.gamma(30.0, 0.1, 4000)
+    null = np.random.default_rng(3).gamma(30.0, 0.1, 4000)
     assert tail(float(np.quantile(null, 0.99)), null) == pytest.approx(0.01, rel=0.2)
     assert tail(1e3, null) < 1e-100
-
-
-def test_a_statistic_that_is_the_same_in_all_repetitions_is_not_judged():
-    """Its probability was 1, so every law passed."""
-    assert tail(5.0, np.full(60, 0.1)) is None
+    assert tail(5.0, np.full(60, 0.1)) is None  # the same in all repetitions: it was 1, so every law passed
 
 
 def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
@@ -95,7 +79,6 @@ def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
     assert len(warnings.not_judged(adequacy)) == 1
 
 
-@pytest.mark.usefixtures("no_rivals")
 @pytest.mark.parametrize(("curve", "adequate"), [("hyperbolic", True), ("stribeck", False)])
 def test_slips_of_25_samples_are_judged(belt_rig, tmp_path, curve, adequate):
     """With fewer samples than bins the statistics had no spread: an error, or "adequate" whatever the law."""
@@ -110,8 +93,8 @@ def test_slips_of_25_samples_are_judged(belt_rig, tmp_path, curve, adequate):
 
 
 @pytest.mark.parametrize("law", [3, 5])
-def test_a_true_law_is_adequate(true_law, law):
-    ranking = true_law(law)
+def test_a_true_law_is_adequate(ranked_alone, law):
+    ranking = ranked_alone(law, law=law)
     found = ranking.adequacy
     assert found.adequate
     assert found.goodness.misfit == pytest.approx(1.0, abs=0.05)
@@ -121,10 +104,9 @@ def test_a_true_law_is_adequate(true_law, law):
     assert all(item.trusted for item in ranking.best.parameters.values())
 
 
-@pytest.mark.usefixtures("no_rivals")
-def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(belt_rig):
+def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(ranked_alone):
     # "law 1 (constant friction), the only law fitted" was said of it, with narrow intervals.
-    ranking = rank(smooth(belt_rig.recording(law=5, duration=10.0)), laws=(1,))
+    ranking = ranked_alone(1, law=5, duration=10.0)
     document = ranking.as_json()
     assert document["adequacy"]["verdict"] == "none of the laws fitted"
     assert document["adequacy"]["p_value"] < 1e-6
@@ -136,20 +118,22 @@ def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(belt_rig):
     assert job.exit_code(document) == 6
 
 
-@pytest.mark.usefixtures("no_rivals")
-def test_velocity_steps_of_a_belt_s_joint_spoil_no_law(belt_rig):
-    """Slips with a velocity step fit badly under the true law: the others decide."""
-    assert rank(smooth(belt_rig.recording(law=5, kick=0.02, scatter=0.08, duration=14.0)), laws=(5,)).adequacy.adequate
-
-
-def test_wear_within_the_slips_is_no_misfit(belt_rig):
-    """Each cycle was thought to lose the same fraction of its level: 2 um were left, and true laws were rejected."""
-    found = rank(smooth(belt_rig.recording(law=5, wear=0.15, duration=16.0)), laws=(5,)).adequacy
+@pytest.mark.parametrize(
+    "changes",
+    [
+        # slips with a velocity step by the belt's joint fit badly under the true law: the others decide
+        {"kick": 0.02, "scatter": 0.08, "duration": 14.0},
+        # each cycle was thought to lose the same fraction of its level: 2 um were left, and true laws were rejected
+        {"wear": 0.15, "duration": 16.0},
+    ],
+)
+def test_neither_a_joint_nor_wear_within_the_slips_spoils_a_law(ranked_alone, changes):
+    found = ranked_alone(5, law=5, **changes).adequacy
+    assert found.adequate
     assert found.goodness.p_value > 1e-3
     assert found.goodness.repeat < 0.1
 
 
-@pytest.mark.usefixtures("no_rivals")
 def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
     """Two of 12 slips pulled the parameters of law 4 until the others were too smooth for noise (p = 8e-7)."""
     scene = belt_rig.nominal(4, 2, belt=0.3, duration=16.0)
@@ -161,12 +145,11 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
     assert any(text.startswith("cycles not judged: ") for text in ranking.warnings)
 
 
-@pytest.mark.usefixtures("no_rivals")
 @pytest.mark.parametrize("every", [3, 12])
-def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, true_law, every):
+def test_slips_that_no_velocity_step_explains_are_judged(belt_rig, ranked_alone, every):
     """Cycles with 1.5 times the usual mean square used to be left out, however many there were: here every third."""
     recording = belt_rig.recording(law=5, duration=12.0)
-    cycles = true_law(5).cut.cycles
+    cycles = ranked_alone(5, law=5).cut.cycles
     position = recording.position.copy()
     for cycle in cycles[1::every]:
         own = (recording.time > cycle.break_away) & (recording.time < cycle.landing)

@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -13,11 +14,8 @@ import pytest
 from daq.runfile import joint, listing, store
 from daq.runfile.recording import Recording
 from fitting import palette, rank
-from fitting.model import unknowns
-from fitting.model.unknowns import PER_RUN, Global
 from fitting.report import page, pictures
 from processing.smoothing import smooth
-from rig_sim.friction.law import LAWS
 from stickslip.errors import DataError, InputError
 
 from .. import command
@@ -29,33 +27,13 @@ SPEEDS = (0.15, 0.2, 0.3)
 @pytest.fixture(scope="module")
 def runs_of(belt_rig):
     """Give a function that smooths one contact's runs at three belt speeds, nominal disturbances and all."""
-    made = {}
 
-    def of(law, seed, kick=None):
-        key = (law, seed, kick)
-        if key not in made:
-            scenes = [belt_rig.nominal(law, seed, belt=speed, duration=11.0) for speed in SPEEDS]
-            if kick is not None:
-                scenes = [replace(scene, kick=kick) for scene in scenes]
-            made[key] = [
-                smooth(belt_rig.recording(replace(scene, seed=10 * seed + n))) for n, scene in enumerate(scenes)
-            ]
-        return made[key]
+    @cache
+    def of(law, seed, **changes):
+        scenes = [belt_rig.nominal(law, seed, belt=speed, duration=11.0) for speed in SPEEDS]
+        return [smooth(belt_rig.recording(scene, **changes, seed=10 * seed + n)) for n, scene in enumerate(scenes)]
 
     return of
-
-
-def test_what_runs_share_stands_once_and_the_rest_is_their_own():
-    places = unknowns.active_places(LAWS[6], [False, True], [False, False])
-    table = unknowns.columns(places, 2)
-    own = [PER_RUN + slot for slot in (Global.V_DR, Global.DATUM, Global.FADE, Global.COMPLIANCE)]
-    assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
-    assert (table[:, places.index(Global.K)] == Global.K).all()
-    assert table[:, places.index(Global.V_DR)].tolist() == [Global.V_DR, -1]
-    assert table[:, places.index(PER_RUN + Global.COMPLIANCE)].tolist() == [-1, Global.COMPLIANCE]
-    spread = unknowns.copy_shared(np.arange(2.0 * PER_RUN)).reshape(2, PER_RUN)
-    assert spread[1, [Global.K, Global.D]].tolist() == [Global.K, Global.D]
-    assert spread[1, Global.V_DR] == PER_RUN + Global.V_DR
 
 
 @pytest.mark.slow
@@ -98,14 +76,6 @@ def law_five(runs_of, asked_laws_alone):
     return rank(runs_of(5, 2), laws=(5,))
 
 
-def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(law_five):
-    fit = law_five.rows[0].fit
-    cross = fit.solution.blocks.cross
-    own = fit.places.index(PER_RUN + Global.V_DR)
-    assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
-    assert not cross[fit.windows.run != 1, own].any()
-
-
 def test_one_run_in_a_list_is_that_run(runs_of):
     run = runs_of(5, 2)[1]
     alone, listed = rank(run, laws=(5,)), rank([run], laws=(5,))
@@ -131,12 +101,6 @@ def test_constant_friction_is_told_by_the_drags_of_all_runs(runs_of, law):
 def test_runs_that_stick_and_runs_that_graze_are_not_one_contact(runs_of):
     with pytest.raises(DataError, match="in other runs there is"):
         rank([runs_of(5, 2)[1], runs_of(1, 3, kick=0.0)[1]])
-
-
-@pytest.mark.parametrize("flags", [{"belt_speed": 0.2}, {"excluded": (1,)}])
-def test_what_means_one_run_is_refused_beside_several(runs_of, flags):
-    with pytest.raises(InputError, match="several runs"):
-        rank(runs_of(5, 2), **flags)
 
 
 @pytest.fixture(scope="module")
@@ -280,23 +244,14 @@ def test_a_run_named_twice_is_refused(files, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_processes_give_the_same_ranking_to_the_last_bit(belt_rig):
-    runs = [smooth(belt_rig.recording(law=4, duration=10.0, belt=speed)) for speed in SPEEDS[1:]]
+def test_several_processes_give_the_same_ranking_to_the_last_bit(smoothed):
+    runs = [smoothed(law=4, duration=10.0, belt=speed) for speed in SPEEDS[1:]]
     alone, side_by_side = (rank(runs, laws=(4, 5), jobs=jobs) for jobs in (1, 2))
     for one, other in zip(alone.rows, side_by_side.rows, strict=True):
-        assert (one.law, one.score, one.rms_m, one.parameters) == (
-            other.law,
-            other.score,
-            other.rms_m,
-            other.parameters,
-        )
+        for name in ("law", "score", "rms_m", "parameters"):
+            assert getattr(one, name) == getattr(other, name)
         assert (one.fit.residual == other.fit.residual).all()
     assert alone.verdict == side_by_side.verdict
-
-
-def test_fewer_than_one_process_is_refused(runs_of):
-    with pytest.raises(InputError, match="jobs"):
-        rank(runs_of(5, 2), jobs=0)
 
 
 @pytest.mark.slow

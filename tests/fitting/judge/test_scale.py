@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.record import motion as frame
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
@@ -72,27 +71,6 @@ def test_lengths_scaled_by_a_power_of_two_and_mirrored_give_the_same_numbers(tra
         if name in expected.parameters:
             ours, theirs = found.parameters[name], expected.parameters[name]
             assert ours.value / unit == pytest.approx(theirs.value, abs=1e-4 * theirs.stderr)
-
-
-def test_times_scaled_by_a_power_of_two_scale_the_slip_and_nothing_else(motion_of):
-    motion = motion_of(law=5, duration=12.0)
-    for power in (-12, 3, 12):
-        time = np.ldexp(motion.time, power)
-        slips = motion.velocity < 0.5 * motion.belt_speed
-        assert frame.usual_slip(time, motion.position, slips) == np.ldexp(
-            frame.usual_slip(motion.time, motion.position, slips), power
-        )
-    assert frame.rounded_slip(0.58) == 0.5
-    assert frame.rounded_slip(0.58 * 2**-7) == 0.5 * 2**-7
-
-
-@pytest.mark.parametrize("law", [1, 2, 3, 4, 5, 6])
-def test_slips_of_all_laws_round_to_the_same_time(motion_of, law):
-    """Else a result would jump with the last digit of a slip's duration."""
-    motion = motion_of(law=law, duration=12.0)
-    assert motion.slip_s == 0.5
-    usual = frame.usual_slip(motion.time, motion.position, motion.velocity < 0.5 * motion.belt_speed)
-    assert frame.rounded_slip(0.85 * usual) == frame.rounded_slip(1.15 * usual) == 0.5
 
 
 def within_a_hundredth(found, expected, moved=()):

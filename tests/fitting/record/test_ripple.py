@@ -8,19 +8,21 @@ import pytest
 
 import daq
 from fitting import rank
-from fitting.judge import law_fits
 from fitting.record import cycles, ripple
-from fitting.record import motion as frame
 from processing.smoothing import smooth
 
 from .. import scales
+from ..frames import in_frame
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 HERTZ, AMPLITUDE = 2.3, 0.0044
 
 
+FAST = ("friction.law=3", "spring.k=129", "friction.Fs=4.36", "friction.G_slip=0.7", "belt.speed=0.2", "scatter.Fs=0")
+
+
 def found_in(kinematics):
-    motion = frame.from_kinematics(kinematics, kinematics.recording.rig, None)
+    motion = in_frame(kinematics)
     return ripple.find_ripple(motion, cycles.segment_cycles(motion))
 
 
@@ -49,36 +51,38 @@ def test_the_sticks_show_frequency_amplitude_and_phase(rippled, law):
     assert seen == pytest.approx(AMPLITUDE * np.sin(2 * math.pi * HERTZ * (t - 0.5)), abs=0.3 * AMPLITUDE)
 
 
-def test_a_ramp_whose_level_scatters_shows_a_small_ripple(simulated):
-    # Each stick creeps by its own level: under one common line for all of them a ripple of 1 % was not found, and the
-    # true law left five times the noise.
-    changes = ("belt.ripple=0.0022", "belt.ripple_hz=1.3", "scatter.Fs=0.1", "friction.d=0.06")
-    found = found_in(simulated("friction.law=6", *changes, duration=12.0))
-    assert found.omega == pytest.approx(2 * math.pi * 1.3, rel=0.01)
-    assert found.amplitude == pytest.approx(0.0022, rel=0.4)
+def slower_than_cycles(law, near):
+    """Return a row of a ripple slower than the cycles.
+
+    It was found at 0.75 Hz, which the sticks meet at the same phases, on a ramp at 0.47 Hz, or not at all: "none of the
+    six" of a true law.
+    """
+    return (f"friction.law={law}", "scatter.Fs=0.1"), 20.0, (0.12, 0.05), (AMPLITUDE, near)
 
 
 @pytest.mark.parametrize(
-    ("law", "error"), [(3, 0.1), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((5, 0.1), (6, 0.15)))]
+    ("changes", "duration", "hertz", "amplitude"),
+    [
+        # Each stick creeps by its own level: under one common line for all of them a ripple of 1 % was not found, and
+        # the true law left five times the noise.
+        (("friction.law=6", "scatter.Fs=0.1", "friction.d=0.06"), 12.0, (1.3, 0.01), (0.0022, 0.4)),
+        slower_than_cycles(3, 0.1),
+        pytest.param(*slower_than_cycles(5, 0.1), marks=pytest.mark.slow),
+        pytest.param(*slower_than_cycles(6, 0.15), marks=pytest.mark.slow),
+        # 50 ms were left out at the end of sticks of 55 ms: no ripple was found, and the true law was "none of the
+        # six".  Then 1.93 and 4.47 Hz came before it, settled no nearer than to half of their peaks' width.
+        (FAST, 8.0, (1.27, 0.005), (0.003, 0.02)),
+        # Constant friction has no sticks after the start-up drag, and was said to have no ripple; it went into v_dr.
+        (("friction.law=1", "scatter.Fs=0.1"), 20.0, (HERTZ, 0.01), (AMPLITUDE, 0.05)),
+    ],
+    ids=["ramp that scatters", *("slower than cycles" for _ in range(3)), "short sticks", "drag"],
 )
-def test_a_ripple_slower_than_the_cycles_is_not_taken_for_a_faster_one(simulated, law, error):
-    # It was found at 0.75 Hz, which the sticks meet at the same phases, or not at all: "none of the six" of a true law.
-    # On a ramp (law 6) it was found at 0.47 Hz.
-    changes = (f"belt.ripple={AMPLITUDE}", "belt.ripple_hz=0.12", "scatter.Fs=0.1")
-    found = found_in(simulated(f"friction.law={law}", *changes))
-    assert found.omega == pytest.approx(2 * math.pi * 0.12, rel=0.05)
-    assert found.amplitude == pytest.approx(AMPLITUDE, rel=error)
-
-
-FAST = ("friction.law=3", "spring.k=129", "friction.Fs=4.36", "friction.G_slip=0.7", "belt.speed=0.2", "scatter.Fs=0")
-
-
-def test_short_sticks_of_a_fast_mass_show_the_frequency(simulated):
-    # 50 ms were left out at the end of sticks of 55 ms: no ripple was found, and the true law was "none of the six".
-    # Then 1.93 and 4.47 Hz came before it, settled no nearer than to half of their peaks' width.
-    found = found_in(simulated(*FAST, "belt.ripple=0.003", "belt.ripple_hz=1.27", duration=8.0))
-    assert found.omega == pytest.approx(2 * math.pi * 1.27, rel=0.005)
-    assert found.amplitude == pytest.approx(0.003, rel=0.02)
+def test_frequency_and_amplitude_are_found(simulated, changes, duration, hertz, amplitude):
+    found = found_in(
+        simulated(*changes, f"belt.ripple={amplitude[0]}", f"belt.ripple_hz={hertz[0]}", duration=duration)
+    )
+    assert found.omega == pytest.approx(2 * math.pi * hertz[0], rel=hertz[1])
+    assert found.amplitude == pytest.approx(amplitude[0], rel=amplitude[1])
 
 
 @pytest.mark.slow
@@ -99,13 +103,6 @@ def test_rounding_that_the_cycles_repeat_is_no_ripple(tmp_path):
     # Counts of 3.1 um in sticks of 14 samples were a ripple of 0.8 um, 3 % of the belt's speed, at 112 Hz.
     scales.write_table(scales.draw(108), tmp_path / "counts.csv")
     assert found_in(smooth(daq.load(tmp_path / "counts.csv"))) is None
-
-
-def test_constant_friction_shows_it_in_its_start_up_drag(rippled):
-    # It has no sticks afterwards, and was said to have no ripple; that of the belt then went into v_dr.
-    found = found_in(rippled(1))
-    assert found.omega == pytest.approx(2 * math.pi * HERTZ, rel=0.01)
-    assert found.amplitude == pytest.approx(AMPLITUDE, rel=0.05)
 
 
 @pytest.mark.parametrize("law", [3, pytest.param(5, marks=pytest.mark.slow)])
@@ -154,12 +151,12 @@ def test_a_ramp_of_constant_friction_keeps_its_width_on_a_belt_that_ripples(simu
 
 
 @pytest.mark.slow
-def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(belt_rig, monkeypatch):
+def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(smoothed, monkeypatch):
     # The smoothing took tops of a sine for sticks, among which a ripple of 5 % at 11 Hz was found: the record was
     # refused, since its sticks had several speeds.
     wrong = ripple.Ripple(0.011, 0.0, 2 * math.pi * 11.5, 10.0)
-    monkeypatch.setattr(law_fits.ripple, "find_ripple", lambda motion, cut: wrong)
-    ranking = rank(smooth(belt_rig.recording(law=1, damping=0.036, delta=50e-6)))
+    monkeypatch.setattr(ripple, "find_ripple", lambda motion, cut: wrong)
+    ranking = rank(smoothed(law=1, damping=0.036, delta=50e-6))
     assert ranking.laws_in_set == (1,)
     assert "ripple" not in ranking.best.parameters
 
