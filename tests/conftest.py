@@ -34,6 +34,8 @@ LONGEST = (
     "fitting/test_processors.py",
     "contract/test_recording_survives.py",
     "browser/test_live_page.py",
+    "fitting/test_batch.py",
+    "fitting/model/test_memory.py",
     "fitting/judge/test_joint.py",
     "fitting/judge/test_own_laws.py",
     "contract/test_protocols.py",

@@ -15,14 +15,7 @@ from processing.smoothing import smooth
 
 from .. import rig as own_rig
 from ..conftest import no_other_law
-from . import strangers as stranger_records
 from .frames import cut, in_frame
-
-
-@pytest.fixture(scope="session")
-def strangers():
-    """Give the module of records that are no stick-slip."""
-    return stranger_records
 
 
 @pytest.fixture(scope="session")

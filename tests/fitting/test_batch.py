@@ -1,7 +1,6 @@
 """`fit-friction --each`: every run by itself, here, in processes, or on a dask scheduler, and what a bad one does."""
 
 import json
-import os
 import shutil
 import signal
 import socket
@@ -21,7 +20,7 @@ from daq.runfile.rig import Rig
 from fitting import batch, cli, job
 from fitting.options import Options
 from fitting.report.comparison import ComparedRun
-from stickslip.compute import cluster, workers
+from stickslip.compute import cluster
 from stickslip.console import application
 from stickslip.errors import DataError, DeviceError, InputError, StickslipError
 
@@ -152,15 +151,6 @@ def test_a_bug_or_a_foreign_report_is_that_runs_own_error_and_stops_no_other(fol
 def test_no_job_is_refused(folder):
     with pytest.raises(InputError, match="jobs is 0"):
         command.fit(folder / "five.h5", each=True, jobs=0)
-
-
-def killed(_):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def test_a_killed_process_is_one_clear_error():
-    with pytest.raises(DeviceError, match="was killed"), workers.workers(2) as each:
-        list(each(killed, [1]))
 
 
 def is_running(process):

@@ -242,6 +242,7 @@ MISTAKES = [
     (lambda run: fitting.rank(run, mass=0.3, stiffness=10), "mass and stiffness together; give one"),
     (lambda run: fitting.rank(run, x0="5 cm/s"), "x0: 'cm/s' is not a unit of length"),
     (lambda run: fitting.rank(run, belt_speed=0), "belt_speed: belt speed is 0"),
+    (lambda run: fitting.rank(run, belt_speed="fast"), "belt_speed: "),
     (lambda run: fitting.rank(run, belt_speed="channel"), "belt_speed: the run has no belt counts"),
     (lambda run: fitting.rank(run, laws=()), "no law to fit"),
     (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; give a number"),

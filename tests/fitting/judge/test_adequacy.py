@@ -64,6 +64,7 @@ def test_a_weak_guide_is_named_although_a_curve_comes_near(foreign, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
     # "law 5 alone" was said of law 3 on it, with k/m wrong by a hundred standard errors.
     ranking = rank(foreign(tmp_path / "t.csv", code=3, G=0.3, k3=0.05 * 10.5552 / 0.195**2))

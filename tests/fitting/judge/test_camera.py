@@ -54,6 +54,7 @@ def test_a_millimetre_of_noise_leaves_the_truth_in_the_set_without_a_false_alarm
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 @pytest.mark.parametrize("seed", [1, 4])
 def test_intervals_under_a_millimetre_of_noise_contain_the_truth(track, seed):
     # Slips that began up to 54 mm/s faster than the belt held the search in local minima: Fs was 4.5 and 3 standard

@@ -109,8 +109,8 @@ def test_levels_that_differ_by_their_errors_alone_do_not_show_the_belt_speed_of_
 
 
 @pytest.mark.parametrize(("known", "unit"), [("mass", "k"), ("stiffness", "m")])
-def test_a_mass_gives_newtons_and_a_stiffness_gives_the_mass(ranked, known, unit):
-    ranking = ranked(law=5)
+def test_a_mass_gives_newtons_and_a_stiffness_gives_the_mass(ranked_alone, known, unit):
+    ranking = ranked_alone(5, law=5)
     calibration = {"mass": None, "stiffness": None} | {known: Measured(0.3 if known == "mass" else 10.5552)}
     found = derived_parameters(ranking.best.fit, replace(ranking.motion, **calibration), 0.05)
     assert found[unit].value == pytest.approx({"k": 10.5552, "m": 0.3}[unit], rel=2e-4)
@@ -118,8 +118,8 @@ def test_a_mass_gives_newtons_and_a_stiffness_gives_the_mass(ranked, known, unit
     assert {"k", "m"} & set(found) == {unit}
 
 
-def test_correlations_give_the_error_of_a_ratio(ranked):
-    ranking = ranked(law=5)
+def test_correlations_give_the_error_of_a_ratio(ranked_alone):
+    ranking = ranked_alone(5, law=5)
     known, found = ranking.best.parameters, ranking.correlations()
     i, j = found.names.index("Fs/m"), found.names.index("k/m")
     level, rate = (known[name].stderr / known[name].value for name in ("Fs/m", "k/m"))
@@ -130,8 +130,8 @@ def test_correlations_give_the_error_of_a_ratio(ranked):
     assert set(found.names) == {"k/m", "Fs/m", "v_dr", "gamma", "x0", "c/m"}
 
 
-def test_an_uncertain_length_correlates_what_has_a_length_in_its_unit(ranked):
-    ranking = ranked(law=5)
+def test_an_uncertain_length_correlates_what_has_a_length_in_its_unit(ranked_alone):
+    ranking = ranked_alone(5, law=5)
     found = correlations(ranking.best.fit, replace(ranking.motion, length_error=0.5))
     place = {name: k for k, name in enumerate(found.names)}
     assert found.matrix[place["Fs/m"], place["v_dr"]] == pytest.approx(1.0, abs=0.01)
@@ -139,8 +139,8 @@ def test_an_uncertain_length_correlates_what_has_a_length_in_its_unit(ranked):
     assert abs(found.matrix[place["k/m"], place["v_dr"]]) < 0.1
 
 
-def test_correlations_are_withheld_with_the_intervals(ranked):
-    ranking = ranked(law=5)
+def test_correlations_are_withheld_with_the_intervals(ranked_alone):
+    ranking = ranked_alone(5, law=5)
     best = ranking.best
     withheld = {name: replace(item, trusted=False) for name, item in best.parameters.items()}
     assert replace(ranking, rows=(replace(best, parameters=withheld),)).as_json()["correlations"] is None

@@ -56,9 +56,9 @@ def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
     assert nearest.own_values["v_s"] == pytest.approx(0.1, rel=0.03)
 
 
-def test_no_curve_is_measured_where_every_slip_lies_on_the_laws_ramp(ranked):
+def test_no_curve_is_measured_where_every_slip_lies_on_the_laws_ramp(ranked_alone):
     # A ramp as wide as the slips are fast left it no speeds: "middle coefficient is 0.0; friction must not vanish".
-    fit = ranked(law=6, duration=10.0).row(6).fit
+    fit = ranked_alone(6, law=6, duration=10.0).best.fit
     wide = fit.q.copy()
     wide[fit.places.index(Global.D)] = 2 * float(np.max(np.abs(fit.problem.motions[0].velocity)))
     assert fit_spline(replace(fit, q=wide), np.array([1e-5])) is None

@@ -111,12 +111,12 @@ def test_scores_are_those_of_the_dense_problem(problem):
     assert scores.raw == pytest.approx(np.diag(H)[-MORE:])
 
 
-def test_a_fit_is_linearised_at_its_minimum(ranked):
+def test_a_fit_is_linearised_at_its_minimum(ranked_alone):
     """Gradients of all cycles and the priors cancel there, or point out of a bound; a refit moves next to nothing.
 
     The damping of this record ends at its bound 0, with a gradient of 0.35 standard errors.
     """
-    fit = ranked(law=5).best.fit
+    fit = ranked_alone(5, law=5).best.fit
     found = LinearisedFit.at(fit)
     assert found.residual == pytest.approx(fit.residual, abs=1e-12)
     gradient = found.gradients.sum(axis=0) + found.priors.gradient

@@ -184,30 +184,40 @@ def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyp
     assert ranking.row("two").fit.law_parameters == fixed.row("two").fit.law_parameters
 
 
-@pytest.mark.parametrize(
-    ("formula", "reason"),
-    [
-        ("-abs(Fs)", "friction is negative"),  # used to end the whole fit
-        ("Fs-Fs", "friction is not above 0"),  # used to end in a ValueError
-        ("Fs/(1e-300+s)", "overflow"),
-        ("Fs*log(-abs(b)*s)", "log of"),
-        ("Fs*s", "friction is not above 0"),
-    ],
-)
-def test_a_law_that_cannot_be_fitted_is_a_row_that_says_why(hyperbolic, formula, reason):
-    ranking = rank(hyperbolic, laws=(5, fitting.Law("mine", formula)))
+UNFITTABLE = {
+    "-abs(Fs)": "friction is negative",  # used to end the whole fit
+    "Fs-Fs": "friction is not above 0",  # used to end in a ValueError
+    "Fs/(1e-300+s)": "overflow",
+    "Fs*exp(1e6)": "overflow",
+    "Fs*log(-abs(b)*s)": "log of",
+    "Fs + b*log(s)": "log of 0",
+    "Fs*s": "friction is not above 0",
+    "Fs/(s - s)": "division by 0",
+}
+
+
+@pytest.fixture(scope="module")
+def beside_unfittable(hyperbolic, asked_laws_alone):
+    """Rank law 5 beside formulas that are no friction curve with any values, called mine0, mine1 and so on."""
+    return rank(hyperbolic, laws=(5, *(fitting.Law(f"mine{k}", formula) for k, formula in enumerate(UNFITTABLE))))
+
+
+@pytest.mark.parametrize(("number", "formula"), list(enumerate(UNFITTABLE)))
+def test_a_law_that_cannot_be_fitted_is_a_row_that_says_why(beside_unfittable, number, formula):
+    name, reason, ranking = f"mine{number}", UNFITTABLE[formula], beside_unfittable
     assert ranking.best.law == 5
-    fitted, missing = ranking.as_json()["ranking"]
-    assert (fitted["fitted"], missing["fitted"], missing["law"], missing["formula"]) == (True, False, "mine", formula)
+    fitted, *others = ranking.as_json()["ranking"]
+    (missing,) = (row for row in others if row["law"] == name)
+    assert (fitted["fitted"], missing["fitted"], missing["formula"]) == (True, False, formula)
     assert reason in missing["reason"]
     assert {missing[key] for key in ("score", "weight", "rms_m", "cycles", "orbit_distance", "cpu_s")} == {None}
     assert (missing["in_set"], missing["parameters"], set(fitted) - set(missing)) == (False, {}, set())
-    table = ranking.to_dataframe()
-    assert table.law.tolist() == [5, "mine"]
-    assert reason in table.reason[1]
+    table = ranking.to_dataframe().set_index("law")
+    assert set(table.index) == {5, *(f"mine{k}" for k in range(len(UNFITTABLE)))}
+    assert reason in table.reason[name]
     assert "not fitted" in ranking._repr_html_()
     with pytest.raises(KeyError, match="was not fitted: "):
-        ranking.row("mine")
+        ranking.row(name)
 
 
 def test_where_no_requested_law_can_be_fitted_each_reason_is_said(hyperbolic):

@@ -63,14 +63,8 @@ def test_the_true_rest_position_is_not_contradicted_where_a_rival_fits_it(seen_b
         assert abs(found[name]["value"] - true) < 4 * found[name]["stderr"]
 
 
-def test_a_true_law_on_an_encoder_has_no_rival_in_its_set(ranked):
-    document = ranked(law=5, duration=10.0).as_json()
-    assert (document["set"], document["rivals"]) == ([5], [])
-    assert job.exit_code(document) == 0
-
-
 def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
-    curve = ranked(law=5, duration=10.0).adequacy.curve
+    curve = ranked(law=5).adequacy.curve
     law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
     found = fit_formula(law, curve, others=())
     at, step = found.solution, 1e-5
@@ -86,26 +80,27 @@ def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
 
 
 def test_a_curve_that_is_negative_is_not_fitted(ranked):
-    curve = ranked(law=5, duration=10.0).adequacy.curve
+    curve = ranked(law=5).adequacy.curve
     with pytest.raises(InputError, match="friction is negative"):
         fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve, others=())
 
 
 def test_every_published_law_is_fitted_or_says_why_not(ranked):
     # Which were fitted was decided by the measured curve, whose level is free without a rest position.
-    document = ranked(law=5, duration=10.0).as_json()
+    document = ranked(law=5).as_json()
     rows = {row["law"]: row for row in document["ranking"]}
     assert set(PUBLISHED) < set(rows)
     assert all(row["fitted"] is (row["reason"] is None) is (row["rms_m"] is not None) for row in rows.values())
     constant = rows[1]["rms_m"]
     assert all(row["rms_m"] <= constant for row in rows.values() if row["fitted"])
     assert document["ranking"][0]["law"] == 5
+    assert (document["set"], document["rivals"], job.exit_code(document)) == ([5], [], 0)
     fitted = [row for row in document["ranking"] if row["fitted"]]
     assert document["ranking"][: len(fitted)] == fitted
 
 
 def test_a_law_that_contains_one_that_describes_the_record_is_not_fitted(ranked):
-    unfitted = {one.law: one.reason for one in ranked(law=3, duration=10.0).unfitted}
+    unfitted = {one.law: one.reason for one in ranked(law=3).unfitted}
     assert unfitted["stribeck"] == "it contains law 3, which no curve fits better: the record cannot exclude it"
 
 
@@ -115,7 +110,7 @@ def test_a_published_curve_that_cannot_be_fitted_has_a_row_with_the_reason(ranke
     # that no motion could follow kept the true logarithmic one from being fitted.
     negative = Law("logarithmic", formula, bounds={"Fs": (0.0, 100.0)})
     monkeypatch.setattr("fitting.judge.formulas.PUBLISHED", {"logarithmic": negative})
-    ranking = ranked(law=5, duration=10.0)
+    ranking = ranked(law=5)
     fits, unfitted, _ = fit_formulas(Competitors.of(5), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]])
     assert fits == []
     assert unfitted[0].reason

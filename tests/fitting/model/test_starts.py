@@ -6,24 +6,10 @@ import numpy as np
 import pytest
 
 from fitting.model import problem
-from fitting.model.unknowns import PerCycle, Values, to_array
-from fitting.model.windows import ShootingWindows
+from fitting.model.unknowns import Values
 from fitting.record import cycles
 from rig_sim.friction.curve import magnitude
 from stickslip.units import Measured
-
-
-def test_a_mass_that_overtakes_the_belt_starts_at_a_level_below_its_load(motion_of):
-    """The level used to be the regression's in every pass: beside a larger Fs the mass could then overtake no more."""
-    motion = motion_of(law=5)
-    cut = cycles.segment_cycles(motion)
-    overtaking = tuple(replace(cycle, overtakes=True) for cycle in cut.used)
-    windows = ShootingWindows.from_cycles(motion, overtaking)
-    for F in (3.5, 4.5):
-        u = to_array(Values(35.184, F, 0.22, 9.618))
-        level = F * np.exp(problem.cycle_starts(windows, [motion], overtaking, u)[:, PerCycle.NEXT_LEVEL])
-        load = [-35.184 * np.interp(cycle.landing, motion.time, motion.position) for cycle in overtaking]
-        assert level == pytest.approx(np.maximum(0.9 * np.array(load), 0.2 * F))
 
 
 def test_no_start_has_a_level_beyond_the_observed_break_aways(motion_of):

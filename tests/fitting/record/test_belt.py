@@ -9,7 +9,6 @@ from fitting import rank
 from fitting.judge.friction import points
 from fitting.model.unknowns import Global
 from fitting.record import motion as belt_line
-from stickslip.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 FS_OVER_K = 1.379353536 / 10.5552
@@ -87,14 +86,6 @@ def test_a_stated_speed_goes_before_the_belts_counts(simulated):
     stated = rank(motion, laws=(5, 6), belt_speed=0.22)
     assert stated.laws_in_set == (5, 6)
     assert any("look the same" in warning for warning in stated.warnings)
-
-
-def test_counts_that_are_not_there_are_refused(simulated):
-    motion = simulated("droop.fraction=0.01", "friction.law=5")
-    with pytest.raises(InputError, match="no belt counts"):
-        rank(motion, belt_speed="channel")
-    with pytest.raises(InputError, match="belt_speed"):
-        rank(motion, belt_speed="fast")
 
 
 def test_a_belt_that_swings_is_told(simulated):

@@ -72,7 +72,7 @@ def test_a_ramp_of_constant_friction_errs_no_more_than_a_jump(runs_of):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("law", "noise"), [(2, 2e-4), (3, 2e-4), (5, 1e-3)])
-def test_nor_on_a_camera_track_without_calibration(belt_rig, law, noise):
+def test_a_law_never_errs_more_than_one_it_contains_on_a_camera_track(belt_rig, law, noise):
     recording = belt_rig.recording(law=law, rate=400.0, duration=30.0, jitter=0.0, delta=1e-5, seed=4)
     rng = np.random.default_rng(law)
     recording.position[:] += np.round(noise * rng.standard_normal(recording.position.size), 5)
