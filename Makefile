@@ -37,7 +37,7 @@ test-slow: $(VENV)/.installed-test
 test-kernels: $(VENV)/.installed-test
 	@for kernel in $(BLAS_KERNELS); do echo "== OPENBLAS_CORETYPE=$$kernel"; \
 	  OPENBLAS_CORETYPE=$$kernel STICKSLIP_BLAS_KERNEL=$$kernel $(PYTEST) -q -m "not slow" \
-	    tests/fitting/selection tests/fitting/test_processors.py tests/test_pipe.py || exit 1; done
+	    tests/fitting/judge tests/fitting/test_processors.py tests/test_pipe.py || exit 1; done
 
 reliability: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n 2 --dist load --maxschedchunk 1 -m slow --full tests/reliability

@@ -1,4 +1,4 @@
-"""Rankings of synthetic runs and smoothed runs of the simulated rig, made once and shared by the tests of the fit."""
+"""Records and rankings, made once and shared by the tests of the fit."""
 
 from functools import cache
 
@@ -14,13 +14,8 @@ from fitting.model.windows import ShootingWindows
 from processing.smoothing import smooth
 
 from .. import rig as own_rig
-from . import strangers as stranger_records
-
-
-@pytest.fixture(scope="session")
-def strangers():
-    """Give the module of records that are no stick-slip."""
-    return stranger_records
+from ..conftest import no_other_law
+from .frames import cut, in_frame
 
 
 @pytest.fixture(scope="session")
@@ -30,27 +25,39 @@ def belt_rig():
 
 
 @pytest.fixture(scope="session")
-def ranked():
+def smoothed():
+    """Give a function that smooths a synthetic run, remembered by its changes: ``smoothed(law=5, duration=10.0)``."""
+    return cache(lambda **changes: smooth(own_rig.recording(**changes)))
+
+
+@pytest.fixture(scope="session")
+def ranked(smoothed):
     """Give a function that ranks a synthetic run, of 12 s unless changed, and remembers it: ``ranked(law=5)``."""
+    return cache(lambda **changes: rank(smoothed(**{"duration": 12.0} | changes)))
+
+
+@pytest.fixture(scope="session")
+def ranked_alone(smoothed):
+    """Give a function that ranks such a run by these laws and no others: ``ranked_alone(4, 5, law=5)``."""
 
     @cache
-    def of(**changes):
-        return rank(smooth(own_rig.recording(**{"duration": 12.0} | changes)))
+    def of(*laws, **changes):
+        with no_other_law():
+            return rank(smoothed(**{"duration": 12.0} | changes), laws=laws)
 
     return of
 
 
 @pytest.fixture(scope="session")
-def motion_of(belt_rig):
+def motion_of(smoothed):
     """Give a function that smooths a synthetic run and brings it into the fit's frame."""
-    from fitting.record import motion
+    return cache(lambda **changes: in_frame(smoothed(**changes)))
 
-    @cache
-    def of(**changes):
-        recording = belt_rig.recording(**changes)
-        return motion.from_kinematics(smooth(recording), recording.rig, None)
 
-    return of
+@pytest.fixture(scope="session")
+def runs_of(smoothed):
+    """Give a function that returns the run of a synthetic scene, ready for the search; remembered by its changes."""
+    return cache(lambda **changes: [cut(smoothed(**changes))])
 
 
 @pytest.fixture(scope="session")
@@ -73,12 +80,12 @@ def simulated(tmp_path_factory):
 def one_window():
     """Give a function that returns the samples of one stick or slip, of one cycle."""
 
-    def of(*, stick=0, overtakes=0, rate=1000.0, seconds=1.2):
-        time = 2.0 + np.arange(round(seconds * rate)) / rate
+    def of(*, stick=0, overtakes=0, rate=1000.0, begin=2.0, seconds=1.2, earliest_landing=2.2, level_epoch=1.9):
+        time = begin + np.arange(round(seconds * rate)) / rate
         return ShootingWindows(
             table=np.array([[0, stick, 0, time.size, overtakes, 0]], np.int64),
-            level_epoch=np.array([1.9]),
-            earliest_landing=np.array([2.2]),
+            level_epoch=np.array([level_epoch]),
+            earliest_landing=np.array([earliest_landing]),
             time=time,
             position=np.zeros(time.size),
             source=np.zeros(time.size, np.int64),

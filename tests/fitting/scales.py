@@ -36,38 +36,18 @@ DATUM_SD, DAMPING_SD = 1e-3, 1e-3
 
 @dataclass(frozen=True)
 class Drawn:
-    """A contact, and how it was recorded.
+    """A contact, and how it was recorded."""
 
-    Attributes
-    ----------
-    number : int
-        What it was drawn from.
-    kind : str
-        One of `KINDS`.
-    contact : Contact
-    rate_hz : float
-    noise_m : float
-        Standard deviation of a camera's readings, or an encoder's count.
-    counts : bool
-        Whether an encoder counts, else a camera reads.
-    mirrored : bool
-        Whether +x points against the belt.
-    x0_m, begin_s : float
-        What the table reads at the spring's rest, and the time of its first row.
-    flags : tuple of str
-        The calibration, as flags of `fit-friction`.
-    """
-
-    number: int
-    kind: str
+    number: int  # what it was drawn from
+    kind: str  # one of `KINDS`
     contact: Contact
     rate_hz: float
-    noise_m: float
-    counts: bool
-    mirrored: bool
-    x0_m: float
-    begin_s: float
-    flags: tuple[str, ...]
+    noise_m: float  # standard deviation of a camera's readings, or an encoder's count
+    counts: bool  # an encoder counts, else a camera reads
+    mirrored: bool  # +x points against the belt
+    x0_m: float  # what the table reads at the spring's rest
+    begin_s: float  # time of its first row
+    flags: tuple[str, ...]  # the calibration, as flags of `fit-friction`
 
     @property
     def law(self) -> int | None:
@@ -77,22 +57,13 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Truth:
-    """What a record of a contact holds.
+    """What a record of a contact holds."""
 
-    Attributes
-    ----------
-    sticks : int
-        Sticks between two slips, as long as two samples or longer.
-    samples_per_slip : float
-        Of the median slip between two sticks, however short; of a mass that never sticks again, of a natural period:
-        it slips from one approach to the belt's speed to the next.
-    cycles : float
-        Sticks; of constant friction, under which no stick is sustained, natural periods.
-    """
-
-    sticks: int
+    sticks: int  # between two slips, as long as two samples or longer
+    # Of the median slip between two sticks, however short; of a mass that never sticks again, of a natural period: it
+    # slips from one approach to the belt's speed to the next.
     samples_per_slip: float
-    cycles: float
+    cycles: float  # sticks; of constant friction, under which no stick is sustained, natural periods
 
 
 def draw(number: int) -> Drawn:

@@ -1,13 +1,14 @@
 """`fit-friction --each`: every run by itself, here, in processes, or on a dask scheduler, and what a bad one does."""
 
 import json
-import os
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, nullcontext
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -19,15 +20,14 @@ from daq.runfile.rig import Rig
 from fitting import batch, cli, job
 from fitting.options import Options
 from fitting.report.comparison import ComparedRun
-from processing.smoothing import smooth
-from stickslip.compute import cluster, workers
+from stickslip.compute import cluster
 from stickslip.console import application
 from stickslip.errors import DataError, DeviceError, InputError, StickslipError
 
+from ..conftest import no_other_law
 from . import command
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
-
 
 ERRORS = {error.exit_code: error for error in (StickslipError, InputError, DeviceError, DataError)}
 
@@ -66,19 +66,29 @@ def without_times(document):
 
 @pytest.fixture(scope="module")
 def alone(originals, tmp_path_factory):
-    """Give each run's document from the command for it alone."""
-    folder = Path(shutil.copytree(originals, tmp_path_factory.mktemp("alone") / "runs"))
-    return {name: application.plain(command.fit(folder / f"{name}.h5", laws="3,5").data) for name in ("five", "three")}
+    """Give a function that returns each run's document from the command for it alone, whether all laws compete or two.
+
+    Other processes let all laws compete.
+    """
+
+    @cache
+    def of(all_compete=False):
+        folder = Path(shutil.copytree(originals, tmp_path_factory.mktemp("alone") / "runs"))
+        with nullcontext() if all_compete else no_other_law():
+            answers = {name: command.fit(folder / f"{name}.h5", laws="3,5") for name in ("five", "three")}
+        return {name: without_times(application.plain(answer.data)) for name, answer in answers.items()}
+
+    return of
 
 
 @pytest.mark.parametrize("how", [(), pytest.param(("--jobs", "2"), marks=pytest.mark.slow)])
 def test_a_batch_says_of_each_run_what_the_command_says_of_it_alone(folder, capsys, alone, how):
     files = [folder / f"{name}.h5" for name in ("five", "none", "three", "short", "missing")]
-    code, document = documents(capsys, "--each", *files, "--laws", "3,5", *how)
+    with nullcontext() if how else no_other_law():
+        code, document = documents(capsys, "--each", *files, "--laws", "3,5", *how)
     five, none, three, short, missing = document["runs"]
     assert [run["file"] for run in document["runs"]] == [str(file) for file in files]
-    assert without_times(five) == without_times(alone["five"])
-    assert without_times(three) == without_times(alone["three"])
+    assert {"five": without_times(five), "three": without_times(three)} == alone(all_compete=bool(how))
     assert "HDF5" in none["error"]["what"]
     assert "complete stick-slip" in short["error"]["what"]
     assert short["statistics"]["slips"] > 0
@@ -90,6 +100,7 @@ def test_a_batch_says_of_each_run_what_the_command_says_of_it_alone(folder, caps
     assert not (folder / "short.report.html").exists()
 
 
+@pytest.mark.usefixtures("asked_law_alone")
 def test_a_batch_is_a_table_on_the_screen(folder, capsys):
     assert application.run(cli.app, ["--each", str(folder / "five.h5"), str(folder / "none.h5"), "--laws", "3,5"]) == 2
     shown = capsys.readouterr().out
@@ -119,6 +130,7 @@ def test_the_exit_code_of_a_batch(codes, expected):
     assert batch.exit_code(rows) == expected
 
 
+@pytest.mark.usefixtures("asked_law_alone")
 def test_a_bug_or_a_foreign_report_is_that_runs_own_error_and_stops_no_other(folder, capsys, monkeypatch):
     def broken(runs, options):
         if "short" in str(runs[0].recording.source):
@@ -139,15 +151,6 @@ def test_a_bug_or_a_foreign_report_is_that_runs_own_error_and_stops_no_other(fol
 def test_no_job_is_refused(folder):
     with pytest.raises(InputError, match="jobs is 0"):
         command.fit(folder / "five.h5", each=True, jobs=0)
-
-
-def killed(_):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def test_a_killed_process_is_one_clear_error():
-    with pytest.raises(DeviceError, match="was killed"), workers.workers(2) as each:
-        list(each(killed, [1]))
 
 
 def is_running(process):
@@ -217,17 +220,16 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
     files = [folder / "five.h5", folder / "none.h5", folder / "three.h5"]
     code, document = documents(capsys, "--each", *files, "--laws", "3,5", "--scheduler", cluster)
     assert code == 2
-    assert without_times(document["runs"][0]) == without_times(alone["five"])
-    assert "error" in document["runs"][1]
-    assert without_times(document["runs"][2]) == without_times(alone["three"])
+    five, none, three = document["runs"]
+    assert {"five": without_times(five), "three": without_times(three)} == alone(all_compete=True)
+    assert "error" in none
 
 
 @pytest.mark.slow
-def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(belt_rig, cluster):
-    from fitting import rank
-
-    runs = [smooth(belt_rig.recording(law=5, duration=10.0, belt=speed)) for speed in (0.15, 0.25)]
-    here, there = rank(runs, laws=(3, 5)), rank(runs, laws=(3, 5), scheduler=cluster)
+@pytest.mark.usefixtures("asked_law_alone")
+def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(smoothed, cluster):
+    runs = [smoothed(law=5, duration=10.0, belt=speed) for speed in (0.15, 0.25)]
+    here, there = (fitting.rank(runs, laws=(3, 5), scheduler=address) for address in (None, cluster))
     assert there.laws_in_set == here.laws_in_set
     assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]
 
@@ -267,8 +269,6 @@ def test_workers_that_cannot_import_the_fit_are_named(folder, capsys, own_schedu
 
 
 def test_processes_lost_in_the_middle_leave_the_finished_runs(folder, monkeypatch):
-    from contextlib import contextmanager
-
     @contextmanager
     def breaking(*_):
         def each(function, items):
@@ -283,6 +283,7 @@ def test_processes_lost_in_the_middle_leave_the_finished_runs(folder, monkeypatc
     assert [row.failure.what for row in rows] == ["fitted", "a fitting process was killed"]
 
 
+@pytest.mark.usefixtures("asked_law_alone")
 def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
     files = [folder / f"{name}.h5" for name in ("five", "none", "short", "missing")]
     counted = []
@@ -290,7 +291,7 @@ def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
     five, none, short, missing = ranked
     assert [run.file for run in ranked] == files
     document = application.plain(five.ranking.as_json())
-    assert without_times(document)["ranking"] == without_times(alone["five"])["ranking"]
+    assert without_times(document)["ranking"] == alone()["five"]["ranking"]
     assert [run.ranking for run in (none, short, missing)] == [None] * 3
     assert [type(run.error).__name__ for run in (none, short, missing)] == ["InputError", "DataError", "InputError"]
     assert str(missing.error) == f"{files[3]}: no such file; check the path"
@@ -307,11 +308,11 @@ def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
 
 
 @pytest.mark.slow
-def test_rank_each_in_processes_of_recordings_in_memory(folder):
-    runs = [daq.load(folder / "five.h5"), daq.load(folder / "three.h5")]
-    here, there = (fitting.rank_each(runs, laws=5, mass="300 g", jobs=jobs) for jobs in (1, 2))
-    for one, other in zip(here, there, strict=True):
-        assert one.ranking.best.parameters == other.ranking.best.parameters
+def test_rank_each_in_processes_of_recordings_in_memory(folder, alone):
+    runs = {name: daq.load(folder / f"{name}.h5") for name in ("five", "three")}
+    for name, run in zip(runs, fitting.rank_each(list(runs.values()), laws=(3, 5), jobs=2), strict=True):
+        document = without_times(application.plain(run.ranking.as_json()))
+        assert document["ranking"] == alone(all_compete=True)[name]["ranking"]
 
 
 @pytest.mark.parametrize(

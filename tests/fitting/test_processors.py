@@ -16,6 +16,8 @@ from daq.recorder.record import record
 from daq.runfile.rig import Rig
 from stickslip.units import Measured
 
+from . import strangers
+
 KERNELS = {  # of OpenBLAS, and what a processor must have for them
     "Prescott": {"pni"},
     "Sandybridge": {"avx"},
@@ -71,7 +73,7 @@ def available():
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory, belt_rig, strangers):
+def runs(tmp_path_factory, belt_rig):
     """Write runs that changed their set or a parameter with the processor, and two that are no stick-slip."""
     folder = tmp_path_factory.mktemp("processors")
     paths = []

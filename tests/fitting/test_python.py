@@ -186,14 +186,20 @@ def test_several_runs_have_residuals_each_and_no_common_time(joint):
 
 
 def test_where_no_law_describes_the_record_tables_say_what_to_take(run):
-    found = fitting.rank(run, laws=3)
+    found = fitting.rank(run, laws=1)
     assert found.adequacy.rejected
     for table in (lambda: found.covariance, lambda: found.correlation, lambda: found.bootstrap(2)):
         with pytest.raises(StickslipError, match=r"take ranking.curve, which needs no law"):
             table()
     assert len(found.curve) > 100
     assert found.residuals.residual_m.std() > 10 * found.adequacy.noise_m
-    assert np.isnan(found.to_xarray().stderr.sel(law="3", parameter="k/m"))
+    assert np.isnan(found.to_xarray().stderr.sel(law="1", parameter="k/m"))
+
+
+@pytest.mark.parametrize("call", [lambda t, x: fitting.rank(t, x, laws=5), daq.Recording.from_arrays])
+def test_positions_in_mm_are_asked_about(run, call):
+    with pytest.warns(UserWarning, match="are the positions in m"):
+        call(run.time, 1000 * run.position)
 
 
 def raised():
@@ -236,12 +242,17 @@ MISTAKES = [
     (lambda run: fitting.rank(run, mass=0.3, stiffness=10), "mass and stiffness together; give one"),
     (lambda run: fitting.rank(run, x0="5 cm/s"), "x0: 'cm/s' is not a unit of length"),
     (lambda run: fitting.rank(run, belt_speed=0), "belt_speed: belt speed is 0"),
+    (lambda run: fitting.rank(run, belt_speed="fast"), "belt_speed: "),
     (lambda run: fitting.rank(run, belt_speed="channel"), "belt_speed: the run has no belt counts"),
+    (lambda run: fitting.rank(run, laws=()), "no law to fit"),
     (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; give a number"),
+    (lambda run: fitting.rank(run, alpha=0.0), "alpha: alpha is 0"),
+    (lambda run: fitting.rank(run, alpha=1e-300), "alpha: alpha is 1e-300"),
     (lambda run: fitting.rank(run, jobs=0), "jobs: jobs is 0; give 1 or more"),
     (lambda run: fitting.rank(run, begin=3), "fitting.rank('run.h5', begin=5), or cut the arrays"),
     (lambda run: fitting.rank(RUN, begin=30), "give other times with begin and end"),
     (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles to exclude from several runs"),
+    (lambda run: fitting.rank([run, run], belt_speed=0.2), "several runs"),
     (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; give one for all"),
     (lambda run: fitting.rank(run.time, np.arange(6000)), "daq.Recording.from_arrays(time, counts, metres_per_count="),
     (lambda run: fitting.Law("mine", "Fs/(1 + s/v"), "formula: this bracket is not closed; add a )"),

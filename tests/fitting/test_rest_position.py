@@ -1,15 +1,12 @@
 """The rest position of the spring as it is stated and printed: one name, one sign, from import to report."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from daq.cli.app import app as daq
-from daq.runfile.rig import Rig
-from fitting import cli, job, rank
-from processing.smoothing import smooth
+from fitting import cli, job
 from stickslip.console import application
 from stickslip.errors import DataError
 from stickslip.units import Measured
@@ -122,25 +119,7 @@ def test_what_is_stated_twice_is_refused(bare, fitted, flags, what):
 
 def test_every_calibration_takes_an_error(bare, fitted):
     """Only --mass and --stiffness did."""
-    flags = [
-        "--x0",
-        "0.6 +- 5e-4",
-        "--damping",
-        "0 +- 0.002",
-        "--belt-speed",
-        "22 cm/s +- 2 mm/s",
-        "--mass",
-        "300 g +- 1 g",
-    ]
-    code, document = fitted(bare, *flags)
+    flags = ["--x0", "0.6 +- 5e-4", "--damping", "0 +- 0.002", "--belt-speed", "22 cm/s +- 2 mm/s"]
+    code, document = fitted(bare, *flags, "--mass", "300 g +- 1 g")
     assert code == 0
     assert not document["warnings"]
-
-
-def test_a_contradicted_x0_is_named_as_it_was_stated(belt_rig):
-    recording = belt_rig.recording(law=5, duration=10.0)
-    rig = replace(recording.rig, datum=None).resting_at(Measured(-0.02, 5e-4))
-    found = rank(smooth(replace(recording, rig=Rig())), rig, laws=(5,))
-    finding = next(one for one in found.findings if one.code == "x0")
-    assert finding.expected == pytest.approx(-0.02)
-    assert finding.value == pytest.approx(0.0, abs=0.01)

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 import rig_sim
-from fitting import rank
 from fitting.scene import of_ranking
 from processing.record.motion import Finding
-from processing.smoothing import smooth
 from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.scenes.draws import draw_changes
 from rig_sim.scenes.scene import scene
@@ -86,9 +84,9 @@ def test_the_scene_breaks_away_where_the_record_did(belt_rig, tmp_path, static):
     assert scene(tmp_path / "rig.toml").friction.static == pytest.approx(static, rel=0.01)
 
 
-def test_break_aways_below_the_law_at_rest_move_the_law_to_them(belt_rig):
+def test_break_aways_below_the_law_at_rest_move_the_law_to_them(ranked_alone):
     """The scene had the fitted Fs, and broke away beyond every break-away of the record."""
-    ranking = rank(smooth(belt_rig.recording(law=5, duration=12.0)), laws=(5,))
+    ranking = ranked_alone(5, law=5)
     low = Finding("break-away", "lower", 0.95, 1.0, 50.0)
     fitted, moved = (of_ranking(one) for one in (ranking, replace(ranking, findings=(low,))))
     before, after = (dict(zip(one.keys, one.values, strict=True)) for one in (fitted, moved))

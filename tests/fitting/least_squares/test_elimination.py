@@ -79,3 +79,29 @@ def test_eigenvectors_turn_a_matrix_diagonal(kernel, rng, n):
     assert np.sort(size) == pytest.approx(np.linalg.eigvalsh(matrix), rel=1e-9, abs=1e-13 * size.max())
     assert vectors.T @ vectors == pytest.approx(np.eye(n), abs=1e-13)
     assert matrix @ vectors == pytest.approx(vectors * size, abs=1e-12 * size.max())
+
+
+def test_least_squares_agree_with_lapack():
+    rng = np.random.default_rng(3)
+    t = np.linspace(0, 3, 200)
+    matrix, target = np.c_[np.ones(200), t, t**2, np.cos(9 * t)], rng.standard_normal(200)
+    before = matrix.copy(), target.copy()
+    x, residual = elimination.least_squares(matrix, target)
+    assert np.array_equal(matrix, before[0])
+    assert np.array_equal(target, before[1])
+    assert x == pytest.approx(np.linalg.lstsq(matrix, target, rcond=None)[0], rel=1e-10)
+    assert residual == pytest.approx(target - matrix @ x, abs=1e-12)
+
+
+def test_columns_of_very_different_length_are_no_trouble():
+    t = np.linspace(100.0, 101.0, 50)
+    x, residual = elimination.least_squares(np.c_[1e-9 * t, 1e9 * np.ones(50)], 3.0 * t - 7.0)
+    assert x == pytest.approx([3e9, -7e-9], rel=1e-9)
+    assert np.abs(residual).max() < 1e-9
+
+
+def test_a_dependent_column_of_least_squares_gets_nothing():
+    t = np.linspace(0, 1, 20)
+    x, residual = elimination.least_squares(np.c_[t, 2 * t, np.zeros(20), np.ones(20)], 1 + t)
+    assert x == pytest.approx([1, 0, 0, 1])
+    assert np.abs(residual).max() < 1e-12

@@ -1,6 +1,7 @@
 """The page stands alone, gives the verdict, and never replaces a file that is not a report."""
 
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -32,51 +33,52 @@ def test_the_page_holds_verdict_pictures_and_every_law(page, ranked):
     assert len(set(re.findall(r'clipPath id="([^"]+)"', page))) == page.count("<clipPath")
     assert "noise, ±2 sd" in page
     assert "Correlations of their errors" in page
+    assert f">{100 * ranked(law=5).best.orbit:.2g} %</td>" in page
+    assert not re.search(r"\bCPU\b", page)  # CPU times stood among the evidence
     for law in range(1, 7):
         assert f"</span>{law} " in page
 
 
-def test_a_strangers_file_is_not_replaced(tmp_path):
-    path = tmp_path / "run.report.html"
-    path.write_text("<html>mine</html>")
-    with pytest.raises(InputError, match="is no report"):
-        report.refuse_foreign_file(path, [""])
-    assert path.read_text() == "<html>mine</html>"
+OWN, OTHER, THIRD = (8 * digits for digits in ("0123abcd", "4567cdef", "89abef01"))
 
 
-def test_a_report_is_replaced_by_one_of_the_same_run_alone(tmp_path, page):
-    """A report of any run used to be replaced."""
+def report_of(page, *digests):
+    return page.replace("</footer>", "".join(f"; sha256 of the raw record {one}" for one in digests) + "</footer>")
+
+
+@pytest.mark.parametrize(
+    ("made_of", "runs", "said"),
+    [
+        (None, [""], "is no report"),
+        ([OWN], [OWN], None),
+        ([OWN], [OTHER], "another run"),  # a report of any run used to be replaced
+        ([OWN, OTHER], [OTHER, OWN], None),
+        ([OWN, OTHER], [OWN], "another run"),
+        ([OWN, OTHER], [OWN, OTHER, THIRD], "another run"),
+    ],
+)
+def test_a_report_is_replaced_by_one_of_the_same_runs_alone(tmp_path, page, made_of, runs, said):
     path = tmp_path / "run.report.html"
-    digest = 8 * "0123abcd"
-    path.write_text(page.replace("</footer>", f"; sha256 of the raw record {digest}</footer>"))
-    report.refuse_foreign_file(path, [digest])
-    with pytest.raises(InputError, match="another run"):
-        report.refuse_foreign_file(path, [digest[::-1]])
-    report.refuse_foreign_file(path, [digest[::-1]], force=True)
+    path.write_text("<html>mine</html>" if made_of is None else report_of(page, *made_of))
+    before = path.read_text()
+    with nullcontext() if said is None else pytest.raises(InputError, match=said):
+        report.refuse_foreign_file(path, runs)
+    assert path.read_text() == before
+    if said == "another run":
+        report.refuse_foreign_file(path, runs, force=True)
 
 
 def test_the_report_of_a_run_that_is_gone_is_replaced(tmp_path, page, belt_rig):
     """After `daq import new.csv -o run.h5 --force` the fit was refused: the report was "of another run", now gone."""
     run, moved, path = tmp_path / "run.h5", tmp_path / "moved.h5", tmp_path / "run.report.html"
     store.write(run, belt_rig.recording(law=5, duration=2.0, seed=1))
-    old, new = store.load(run).digest, 8 * "0123abcd"
-    path.write_text(page.replace("</footer>", f"; sha256 of the raw record {old}</footer>"))
-    report.refuse_foreign_file(path, [new], files=[run])
+    path.write_text(report_of(page, store.load(run).digest))
+    report.refuse_foreign_file(path, [OWN], files=[run])
     with pytest.raises(InputError, match="another run"):
-        report.refuse_foreign_file(path, [new], files=[tmp_path / "else.h5"])
+        report.refuse_foreign_file(path, [OWN], files=[tmp_path / "else.h5"])
     run.rename(moved)
     with pytest.raises(InputError, match=r"another run, moved\.h5"):
-        report.refuse_foreign_file(path, [new], files=[run])
-
-
-def test_a_joint_report_is_that_of_just_its_runs(tmp_path, page):
-    path, digests = tmp_path / "run1+1.report.html", [8 * "0123abcd", 8 * "4567cdef"]
-    named = "".join(f"; sha256 of the raw record {digest}" for digest in digests)
-    path.write_text(page.replace("</footer>", f"{named}</footer>"))
-    report.refuse_foreign_file(path, digests[::-1])
-    for others in (digests[:1], [*digests, digests[0][::-1]]):
-        with pytest.raises(InputError, match="another run"):
-            report.refuse_foreign_file(path, others)
+        report.refuse_foreign_file(path, [OWN], files=[run])
 
 
 def test_a_missing_folder_is_named(tmp_path):
@@ -90,10 +92,6 @@ def test_the_true_laws_orbit_is_the_nearest(ranked):
     assert nearest.law in (5, 6)
     assert ranking.row(1).orbit > 3 * nearest.orbit
     assert 0 < nearest.orbit < 0.01
-
-
-def test_the_page_gives_orbits_beside_the_evidence(page, ranked):
-    assert f">{100 * ranked(law=5).best.orbit:.2g} %</td>" in page
 
 
 def test_the_first_pictures_are_the_friction_curve_and_one_cycle(page):
@@ -133,11 +131,6 @@ def test_where_no_law_describes_the_record_no_set_weight_or_interval_is_shown(ra
     for word in (">weight", "behind the best", "95 % interval", "std. error", "marks the set", "±</td>"):
         assert word not in shown, word
     assert "Correlations" not in text
-
-
-def test_no_cpu_time_is_shown(page):
-    """CPU times used to stand among the evidence."""
-    assert not re.search(r"\bCPU\b", page)
 
 
 def test_every_published_law_is_listed_with_its_misfit(page):

@@ -54,6 +54,7 @@ def killed_elsewhere(parent):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX")
-def test_a_killed_process_beside_one_that_joins_is_one_clear_error():
-    with pytest.raises(DeviceError, match="was killed"), workers(2, join=True) as each:
+@pytest.mark.parametrize("join", [False, True])
+def test_a_killed_process_is_one_clear_error(join: bool) -> None:
+    with pytest.raises(DeviceError, match="was killed"), workers(2, join=join) as each:
         list(each(killed_elsewhere, [os.getpid()] * 1000))

@@ -1,0 +1,116 @@
+"""Published curves beside the six: none of them passes for one of the six alone, and true laws keep their sets."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fitting import job, rank
+from fitting.judge.formulas import fit_formula, fit_formulas
+from fitting.laws import PUBLISHED, Competitors, Law
+from processing.smoothing import smooth
+from stickslip.errors import InputError
+from stickslip.units import Measured
+
+STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "m": 0.5, "k": 80.0, "c": 0.02}
+
+
+@pytest.fixture(scope="module")
+def seen_by_camera(belt_rig, tmp_path_factory):
+    """Give a function that ranks law 5 and its rivals on a contact as a camera of 250 Hz shows it."""
+
+    def of(noise, seed, rig=None, **changes):
+        contact = belt_rig.Contact(**STRIBECK | {"belt": 0.05, "duration": 9.0, "seed": seed} | changes)
+        time = np.arange(0, contact.duration, 1 / 250)
+        position = belt_rig.simulate(contact, time) + np.random.default_rng(seed).normal(0, noise, time.size)
+        path: Path = tmp_path_factory.mktemp("camera") / "track.csv"
+        recording = belt_rig.imported(path, time, position, 7)
+        return rank(smooth(recording), rig and replace(recording.rig, **rig), laws=(5,))
+
+    return of
+
+
+@pytest.mark.parametrize(("power", "named"), [(1.0, "stribeck"), (2.0, "stribeck-gaussian")])
+def test_a_stribeck_contact_is_not_one_of_the_six_alone(seen_by_camera, power, named):
+    # It was "law 5, adequate" alone, with exit code 0.
+    ranking = seen_by_camera(5e-5, 3, power=power)
+    document = ranking.as_json()
+    assert named in document["rivals"]
+    assert job.exit_code(document) == (5 if document["set"] else 6)
+    assert ranking.adequacy.adequate
+    assert ranking.best is ranking.rows[0]
+    row = next(row for row in document["ranking"] if row["law"] == named)
+    assert row["asked"] is False
+    assert row["formula"].startswith("Fc + (Fs - Fc)*exp(")
+    fall = row["parameters"]["v_s"]
+    assert abs(fall["value"] - 0.05) < 4 * fall["stderr"]
+    stiffness = row["parameters"]["k/m"]
+    assert abs(stiffness["value"] - 160.0) < 4 * stiffness["stderr"]
+    assert document["ranking"][0]["in_set"]
+    assert "stribeck" in ranking.verdict
+
+
+def test_the_true_rest_position_is_not_contradicted_where_a_rival_fits_it(seen_by_camera):
+    # Law 5 moved it: the true one was "contradicted", and the wrong law stayed.
+    ranking = seen_by_camera(5e-5, 3, rig={"x0": Measured(0.0, 1e-4)})
+    document = ranking.as_json()
+    assert document["set"] == []
+    assert "stribeck" in document["rivals"]
+    assert [one["code"] for one in document["findings"]] == []
+    found = document["ranking"][0]["parameters"]
+    for name, true in (("Fs/m", 4.0), ("Fc/m", 2.4), ("v_s", 0.05)):
+        assert abs(found[name]["value"] - true) < 4 * found[name]["stderr"]
+
+
+def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
+    curve = ranked(law=5).adequacy.curve
+    law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
+    found = fit_formula(law, curve, others=())
+    at, step = found.solution, 1e-5
+    for place in (at.u.size - 2, at.u.size - 1):
+        sides = []
+        for sign in (-1.0, 1.0):
+            q = at.u.copy()
+            q[place] += sign * step * max(abs(q[place]), 1.0)
+            sides.append(found.least_squares.evaluate(q, at.local, False)[0])
+        numeric = (sides[1] - sides[0]) / (2 * step * max(abs(at.u[place]), 1.0))
+        own = found.derivatives.columns()[:, place]
+        assert np.max(np.abs(numeric - own)) < 2e-3 * np.max(np.abs(own))
+
+
+def test_a_curve_that_is_negative_is_not_fitted(ranked):
+    curve = ranked(law=5).adequacy.curve
+    with pytest.raises(InputError, match="friction is negative"):
+        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve, others=())
+
+
+def test_every_published_law_is_fitted_or_says_why_not(ranked):
+    # Which were fitted was decided by the measured curve, whose level is free without a rest position.
+    document = ranked(law=5).as_json()
+    rows = {row["law"]: row for row in document["ranking"]}
+    assert set(PUBLISHED) < set(rows)
+    assert all(row["fitted"] is (row["reason"] is None) is (row["rms_m"] is not None) for row in rows.values())
+    constant = rows[1]["rms_m"]
+    assert all(row["rms_m"] <= constant for row in rows.values() if row["fitted"])
+    assert document["ranking"][0]["law"] == 5
+    assert (document["set"], document["rivals"], job.exit_code(document)) == ([5], [], 0)
+    fitted = [row for row in document["ranking"] if row["fitted"]]
+    assert document["ranking"][: len(fitted)] == fitted
+
+
+def test_a_law_that_contains_one_that_describes_the_record_is_not_fitted(ranked):
+    unfitted = {one.law: one.reason for one in ranked(law=3).unfitted}
+    assert unfitted["stribeck"] == "it contains law 3, which no curve fits better: the record cannot exclude it"
+
+
+@pytest.mark.parametrize("formula", ["Fs - 1000*s", "Fs*exp(800*s)"])
+def test_a_published_curve_that_cannot_be_fitted_has_a_row_with_the_reason(ranked, monkeypatch, formula):
+    # A record was refused with "law logarithmic is no friction curve", which nobody had asked for; and a power curve
+    # that no motion could follow kept the true logarithmic one from being fitted.
+    negative = Law("logarithmic", formula, bounds={"Fs": (0.0, 100.0)})
+    monkeypatch.setattr("fitting.judge.formulas.PUBLISHED", {"logarithmic": negative})
+    ranking = ranked(law=5)
+    fits, unfitted, _ = fit_formulas(Competitors.of(5), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]])
+    assert fits == []
+    assert unfitted[0].reason

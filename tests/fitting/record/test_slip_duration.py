@@ -1,0 +1,88 @@
+"""How long a slip lasts, as readings show it, beside the events of a simulator that shares nothing with ours."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fitting.record.motion import harmonic_share, slip_duration
+from processing.smoothing import smooth
+
+from ...rig import follow
+from .. import scales
+from ..frames import in_frame
+
+
+def _slip(number, rate_hz, noise=0.0):
+    """Return the slip's duration as estimated and as it is, s."""
+    contact = scales.draw(number).contact
+    time = np.arange(0, contact.duration, 1 / rate_hz)
+    true = follow(contact, time)
+    scatter = noise * contact.Fs / contact.k
+    readings = true.position + np.random.default_rng(number).normal(0, scatter, time.size)
+    expected = float(np.median(true.landings[1:] - true.break_aways[1 : true.landings.size]))
+    return slip_duration(time, readings, scatter), expected
+
+
+@pytest.mark.parametrize("number", [38, 43, 64])
+def test_a_slip_of_few_samples_lasts_as_long_as_it_does(number):
+    """A slip of 7.2 samples was said to have 5, one of 4.2 to have 6."""
+    found, expected = _slip(number, scales.draw(number).rate_hz)
+    assert found == pytest.approx(expected, rel=0.15)
+
+
+def test_noise_of_a_finely_sampled_record_makes_no_slips():
+    found, expected = _slip(34, 40 * scales.draw(34).rate_hz, noise=0.005)
+    assert found == pytest.approx(expected, rel=0.15)
+
+
+def test_records_without_a_slip_between_two_sticks():
+    time = np.arange(0, 60, 0.9)  # a mass that grazes the belt slips for a whole swing
+    assert slip_duration(time, np.sin(time), 1e-3) == pytest.approx(2 * np.pi, rel=0.15)
+    time = np.arange(0, 200, 0.5)  # rest before the belt starts is no slip
+    swings = np.where(time < 120, 0.0, np.sin(time - 120))
+    assert slip_duration(time, swings, 1e-3) == pytest.approx(2 * np.pi, rel=0.15)
+    time = np.arange(10.0)  # without a turn there is none shorter than the record
+    assert slip_duration(time, 2 * time, 1e-3) == 9.0
+    # Nor are rests between moves with the belt: from half its speed they fall, by nothing, "float division by zero".
+    time = np.arange(0, 40, 0.1)
+    steps = np.floor(time / 4) + np.clip(time % 4 / 2, 0, 1)
+    assert slip_duration(time, steps, 1e-4) == time[-1]
+
+
+def test_the_harmonic_share_is_that_of_a_harmonic_motion():
+    for share in (0.1, 0.5, 1.0):
+        slow = np.pi + 2 * np.arcsin(share / 2)  # of amplitude 1 and frequency 1, slower than half the belt
+        assert harmonic_share(share * slow / 2) == pytest.approx(share, abs=1e-6)
+
+
+RATES, DURATION = (11.0, 12.0, 16.0, 25.0, 100.0), 40.0
+
+
+def times(rate):
+    return np.arange(round(DURATION * rate)) / rate
+
+
+@pytest.fixture(scope="module")
+def followed(belt_rig):
+    """Give a function that follows a contact on a belt: times of all rates, positions, and how long a slip lasts, s."""
+
+    @cache
+    def of(belt):
+        time = np.unique(np.concatenate([times(rate) for rate in RATES]))
+        true = belt_rig.follow(belt_rig.Contact(duration=DURATION, belt=belt), time)
+        slips = true.landings[1:] - true.break_aways[1 : true.landings.size]
+        return time, true.position, float(np.median(slips))
+
+    return of
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("belt", [0.08, 0.22, 0.3])
+def test_a_slip_lasts_from_break_away_to_landing(followed, belt_rig, tmp_path, rate, belt):
+    """A slip was as long as the mass is slower than half the belt's speed: down to 0.6 of that."""
+    time, position, lasts = followed(belt)
+    own = np.searchsorted(time, times(rate))
+    record = belt_rig.imported(tmp_path / "track.csv", time[own], position[own], decimals=9)
+    found = in_frame(smooth(record)).samples_per_slip
+    assert found == pytest.approx(lasts * rate, rel=0.2)
