@@ -94,15 +94,15 @@ def test_a_law_with_memory_gives_its_parameters_from_positions(law):
 
 
 @pytest.mark.parametrize("law", CONTACTS)
-def test_derivatives_over_kept_steps_are_those_of_the_motion(law):
+def test_derivatives_are_those_of_the_motion(law):
     task, start = memory.memory_tasks(MEMORY[law], [run_of(law)])[0]
     p, true = len(task.places), truth(law)
     model = task.predict(task.problem.windows(thinned=True), 1.0)
     q = np.concatenate([start.q[:p], np.log([true[name] for name in task.curve.free])])
     q[0] = STIFFNESS / MASS
     found = model.all_derivatives(q, start.local).columns()
-    for j, size in enumerate(model.sizes(q)):
-        step = (1e-5 if j < p else 1e-3) * size
+    for j in range(q.size):
+        step = (1e-5 if j < p else 1e-3) * max(1.0, q[j])
         beside = [model.residual(q + sign * step * (np.arange(q.size) == j), start.local) for sign in (1.0, -1.0)]
         expected = (beside[0] - beside[1]) / (2 * step)
         assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
