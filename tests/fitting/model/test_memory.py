@@ -108,6 +108,31 @@ def test_derivatives_are_those_of_the_motion(law):
         assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
 
 
+def test_bristles_without_falling_friction_give_their_parameters():
+    """Dahl's law does not stick and slip, but its windows, started as those of a record, determine it."""
+    run, law = run_of("lugre"), MEMORY["dahl"].given(start={"s0": 2100.0, "s1": 55.0, "Fc": 2.4})
+    task, start = memory.memory_tasks(law, [run])[0]
+    true = np.log([3000.0, 40.0, 2.6])
+    q = np.concatenate([start.q[: len(task.places)], true])
+    windows, chance = task.problem.windows(thinned=False), np.random.default_rng(1)
+    position = task.predict(windows, 1.0).motion_in(windows, q, start.local, None)[0]
+    measured = run.motion.measured.copy()
+    measured[windows.source] = position + NOISE * chance.standard_normal(position.size)
+    fit = fit_memory(law, [replace(run, motion=replace(run.motion, measured=measured))])
+    assert fit.geometric_mean_rms == pytest.approx(NOISE, rel=0.03)
+    sd = np.sqrt(np.diag(SchurComplement(fit.solution.blocks).covariance))[len(task.places) :]
+    assert np.all(np.abs(fit.theta - true) < 3 * sd)
+    assert np.all(sd < [0.001, 0.004, 0.03])
+
+
+def test_bristles_of_any_stiffness_can_be_followed():
+    """Their derivatives diverged at a presliding of 1e-9 m: fits ended as "its motion cannot be followed"."""
+    task, start = memory.memory_tasks(MEMORY["lugre"], [run_of("lugre")])[0]
+    q = np.concatenate([start.q[: len(task.places)], np.log([2e9, 1.6e4, 0.43, 1.66, 0.165])])
+    model = task.predict(task.problem.windows(thinned=True), 1.0)
+    assert np.all(np.isfinite(model.all_derivatives(q, start.local).columns()))
+
+
 @pytest.mark.parametrize("values", [{"F0": 4.0, "a": 0.1, "b": 0.35}, {"F0": 0.4, "a": 0.35, "b": 0.1}])
 def test_steady_friction_is_positive_at_any_speed(values):
     """The formula is negative at small speeds where a > b: its logarithm ended the fit with an error."""
