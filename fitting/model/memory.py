@@ -26,7 +26,7 @@ from fitting.model.curves import FrictionCurve
 from fitting.model.memory_flow import BRISTLES, FC, FS, PARAMETERS, RATE_AND_STATE, SHARED, V_S
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.problem import EstimationProblem, Run, cycle_starts, thinned_to
+from fitting.model.problem import EstimationProblem, Run, break_away_position, cycle_starts, thinned_to
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
@@ -238,11 +238,11 @@ def memory_tasks(law: Law, runs: Sequence[Run]) -> list[tuple[Task, FitStart]]:
 
 def starting_values(law: Law, problem: EstimationProblem) -> list[dict[str, float]]:
     """Return starts of a law's parameters: friction at rest and in slip from the regression, lengths of two decades."""
-    p = unknowns.values(problem.start[:PER_RUN])
-    motion = problem.motions[0]
+    p, motion = unknowns.values(problem.start[:PER_RUN]), problem.motions[0]
     fastest = float(np.max(motion.belt_speed - motion.velocity))
-    rest, sliding = p.F, p.F / (1.0 + p.shape * fastest)
-    rest = max(rest, sliding)
+    sliding = p.F / (1.0 + p.shape * fastest)
+    load = p.K * (break_away_position(motion, problem.runs[0].cut) - p.datum) + p.damping * p.v_dr
+    rest = max(p.F, load, sliding)
     starts = []
     bristles = MEMORY_LAWS[law.name].code == BRISTLE
     for length in PRESLIDING if bristles else LENGTHS:
