@@ -43,6 +43,7 @@ SLOWEST_STEADY = 1e-6  # slip speed over the belt's below which steady friction 
 PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
 B_OVER_FRICTION, A_OVER_B = 0.1, 0.3  # of the starts
 LARGEST_POWER = 300.0  # of an exponential: asinh is its logarithm there
+LOOP_POINTS = 4000  # of a picture
 PER_WINDOW = memory_flow.COLUMNS - memory_flow.OWN  # unknowns of a cycle
 KERNELS = (*memory.MODULES, "rig_sim.flow.modes", memory_flow.__name__)
 
@@ -111,7 +112,16 @@ class MemoryModel(Model):
 
     def motion_in(self, windows: ShootingWindows, q: Array, local: Array, run: int | None) -> Array | None:
         p = self._parameters(q)
-        return self._follow(p if run is None else p[run : run + 1], local, windows)[0]
+        found, _ = self._follow(p if run is None else p[run : run + 1], local, windows)
+        return None if found is None else found[:2]
+
+    def loop(self, windows: ShootingWindows, q: Array, local: Array, run: int | None, cycle: int) -> Array | None:
+        p, own = self._parameters(q), windows.some(np.array([cycle]))
+        own.table[0, 3], run = LOOP_POINTS, int(own.table[0, 5]) if run is None else run
+        own.table[0, 5] = 0
+        dense = replace(own, time=np.linspace(own.time[0], own.time[-1], LOOP_POINTS))
+        found, _ = self._follow(p[run : run + 1], local[cycle : cycle + 1], dense)
+        return None if found is None else np.array([p[run, SHARED.index(Global.V_DR)] - found[1], found[2]])
 
     def all_derivatives(self, q: Array, local: Array) -> Derivatives:
         return Derivatives(self.windows.blocks, partial(self._derive, q, local, self.task.places))
@@ -179,8 +189,8 @@ class MemoryModel(Model):
         return p
 
     def _follow(self, p: Array, local: Array, windows: ShootingWindows, columns: int = 0) -> tuple[Array | None, Array]:
-        """Return positions, velocities (2, n) and so many derivatives of the positions; None where not followed."""
-        motions, x = self.task.problem.motions, np.empty((2, windows.time.size))
+        """Return positions, velocities, friction (3, n) and so many derivatives of the positions; None where lost."""
+        motions, x = self.task.problem.motions, np.empty((3, windows.time.size))
         scale = np.array([(MEMORY_LENGTH * own.travel, TOLERANCE * own.travel) for own in motions])
         derivatives, work = np.empty((windows.time.size, columns)), np.empty((4, memory_flow.COLUMNS, 3))
         follow = compiled(memory_flow.follow_windows, KERNELS, _nrt=False)

@@ -259,12 +259,20 @@ def balance_derivatives(flow: MemoryFlow, u: Vector, landed: bool, d: Array) -> 
     d[OWN + (NEXT_LEVEL if landed else LEVEL), 1] -= u[1]
 
 
+def store(flow: MemoryFlow, motion: Vector, x: Array, i: int) -> None:
+    """Store a position, its velocity, and the friction over its level that its acceleration shows."""
+    position, v, a = motion
+    x[0, i], x[1, i] = position, v
+    x[2, i] = (a + flow.c * v + flow.k * (position - flow.x0)) / flow.factor
+
+
 def follow_window(
     law: int, p: Array, own: Array, spread: float, tolerance: float, time: Array, x: Array, dx: Array, work: Array
 ) -> bool:
-    """Follow one window to positions and velocities x (2, n) at ``time`` (n,), s; return whether that is possible.
+    """Follow one window to x (3, n) at ``time`` (n,), s; return whether that is possible.
 
-    ``dx`` (n, COLUMNS) are the derivatives of the positions, or empty; ``work`` (4, COLUMNS, 3) is overwritten.
+    Rows of x are position, velocity, and friction over its level; ``dx`` (n, COLUMNS) are the derivatives of the
+    positions, or empty; ``work`` (4, COLUMNS, 3) is overwritten.
     """
     d, f, speed = work[0], work[1:3], work[3]
     flow = flow_of(law, p, own[LEVEL], tolerance)
@@ -293,7 +301,7 @@ def follow_window(
             return False
         if creeping:
             while i < time.size and time[i] <= t + h:
-                x[0, i], x[1, i] = u[0] + p[1] * (time[i] - t), p[1]
+                store(flow, (u[0] + p[1] * (time[i] - t), p[1], 0.0), x, i)
                 for j in range(COLUMNS if derive else 0):
                     dx[i, j] = d[j, 0]
                 if derive:
@@ -332,7 +340,7 @@ def follow_window(
             return False
         first = i
         while i < time.size and time[i] <= t + h:
-            x[0, i], x[1, i], _a = motion_within(flow, h, (time[i] - t) / h, start, stop)
+            store(flow, motion_within(flow, h, (time[i] - t) / h, start, stop), x, i)
             i += 1
         if derive:
             for j in range(COLUMNS):
@@ -360,7 +368,7 @@ def follow_window(
             creeping = creep(flow, u, SHORTEST_CREEP / math.sqrt(p[0]), CREEP_ENDS) != u
         n += 1
     while i < time.size:
-        x[0, i], x[1, i] = start[0] + start[1] * (time[i] - t), start[1]
+        store(flow, (start[0] + start[1] * (time[i] - t), start[1], start[2]), x, i)
         for j in range(COLUMNS if derive else 0):
             dx[i, j] = d[j, 0] + speed[j, 0] * (time[i] - t)
         i += 1

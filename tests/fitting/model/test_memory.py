@@ -5,10 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import fitting
 import rig_sim
 from daq.runfile.rig import Rig
+from fitting.drawing import draw
 from fitting.laws import MEMORY
 from fitting.least_squares.normal_equations import SchurComplement
 from fitting.model import memory
@@ -156,6 +158,24 @@ def test_two_belt_speeds_tell_a_from_b():
             assert abs(theta - np.log(true[name])) < 3 * np.sqrt(variance), name
         errors.append(np.sqrt(np.diag(covariance)[p + fit.task.curve.free.index("a")]))
     assert errors[1] < 0.8 * errors[0]
+
+
+def test_a_loop_of_one_cycle_surrounds_the_friction_of_steady_slip():
+    """Where slip is fast, friction is within a hundredth of the steady one; where it reverses, friction does."""
+    fit = fit_memory(MEMORY["lugre"], [run_of("lugre")])
+    speed, force = fit.loop
+    steady = fit.task.friction(fit.q, np.abs(speed))
+    fast = speed > 0.3
+    assert fast.sum() > 500
+    assert force[fast] == pytest.approx(steady[fast], rel=0.01)
+    falling = (speed > 0.05) & (speed < 0.1)
+    assert np.min((force - steady)[falling]) < -0.1 < 0.1 < np.max((force - steady)[falling])
+    assert force.max() == pytest.approx(truth("lugre")["Fs"], rel=0.02)
+    assert np.min(force[speed < 0]) < 0
+    drawn = Figure().subplots()
+    draw(drawn, [(fit, "LuGre", {})], run_of("lugre").motion, None)
+    assert drawn.lines[-1].get_label() == "LuGre, one cycle"
+    assert drawn.get_xlim()[0] < speed.min() < 0
 
 
 def test_a_belt_that_slows_under_load_is_not_modelled_with_memory():
