@@ -13,7 +13,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "reference" / "constants.md"
 PACKAGES = ("processing", "fitting")
-DRAWN = {"drawing", "report", "plot"}  # folders and modules whose constants are sizes and colours
+DRAWN = {"drawing", "palette", "plot", "report"}  # folders and modules whose constants are sizes and colours
 HEAD = """# Numbers that decide
 
 Each is physics, learned from the record, or chosen; its comment says what it counts, in which unit, and why.  This page

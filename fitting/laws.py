@@ -272,11 +272,15 @@ class Law:
         low, high = (self.bounds or {}).get(name, (None, None))
         return -math.inf if low is None else low, math.inf if high is None else high
 
+    @property
+    def depends_on_speed(self) -> bool:
+        return bool(self.rate) or any(step.name == SPEED for step in self.curve.steps)
+
     def refuse_without_speed(self) -> None:
         """Raise InputError for a curve without the slip speed, unless it is one level: its name may be misspelt."""
         names = self.curve.parameters
         meant = next((name for name in names if SPEED_WORDS.fullmatch(name)), None)
-        if self.rate or any(step.name == SPEED for step in self.curve.steps) or (meant is None and len(names) == 1):
+        if self.depends_on_speed or (meant is None and len(names) == 1):
             return
         hint = "write s for it; law 1 is constant friction" if meant is None else f"did you mean {SPEED} for {meant}?"
         raise InputError(f"law {self.name} does not depend on the slip speed {SPEED}", "formula", hint)

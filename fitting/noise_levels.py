@@ -1,6 +1,6 @@
-"""Levels of error over noise at which a fit is taken as good, near, or lost.
+"""Levels at which a fit is taken as good, near, or lost, an effect as shown, and a usual value as known.
 
-Each is an rms residual over the noise of one position; during a fit, over the resolution of the record.
+The former are rms residuals over the noise of one position; during a fit, over the resolution of the record.
 """
 
 # Error of a fit that describes the record: true laws and departures end at 0.98 to 1.02.  At half the excess noise
@@ -15,3 +15,8 @@ NEAR = 1.2
 # Error beyond which a law does not describe a record: it is not judged, and a formula does not take every sample.  True
 # laws end at 0.9 to 2.6 resolutions, the larger in harsh records.
 LOST = 3.0
+
+# Standard errors from which an effect is shown, or a stated value contradicted, chosen: at 3 chance would do so once in
+# 400 times.
+SHOWN = 4.0
+FEWEST = 4  # cycles, sticks or levels whose usual one is trusted: of fewer, one odd one moves it

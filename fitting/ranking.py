@@ -4,12 +4,13 @@ import logging
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from daq.runfile.rig import Rig
 from fitting.judge import law_fits, screening
 from fitting.judge.adequacy import assess, measure
 from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, with_given
-from fitting.judge.formulas import fit_formulas, name_better_limit
+from fitting.judge.formulas import fit_formulas, fit_memory_laws, name_better_limit
 from fitting.judge.judgement import Competition, compete
 from fitting.judge.parameters import Parameter
 from fitting.model.problem import Run
@@ -48,7 +49,7 @@ def rank(
         return list(describing(records, free).values())
 
     try:
-        competition = _compete(options, records, runs, progress)
+        competition = _compete(options, records, runs, progress, memory=True)
     except law_fits.NoLawError as refused:
         contradicted = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
@@ -105,8 +106,10 @@ def _compete(
     records: Sequence[Kinematics],
     runs: Sequence[Run],
     progress: Callable[[float], None] | None = None,
+    *,
+    memory: bool = False,
 ) -> Competition:
-    """Let all laws compete; NoLawError where none comes near the record."""
+    """Let all laws compete, with ``memory`` those too that have one; NoLawError where none comes near the record."""
     competitors = options.competitors
     six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
@@ -124,8 +127,13 @@ def _compete(
         reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, asked in missing if asked)
         where = ", ".join(record.recording.where for record in records)
         raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
+    judge = partial(compete, noise=nearest.noise, known=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
+    competition = judge(fits)
+    if memory and sustained and not competition.described:
+        with_memory = judge([*fits, *fit_memory_laws(competitors, runs, six, nearest.noise)])
+        competition = with_memory if with_memory.described else competition
     return replace(
-        compete(fits, nearest.noise, nearest, runs, options.alpha, sustained=sustained),
+        competition,
         runs=tuple(runs),
         sustained=sustained,
         curve=curve,

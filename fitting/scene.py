@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fitting import noise_levels
 from fitting.judge.curve import MeasuredCurve, covariances
 from fitting.judge.parameters import covariance
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.curves import FreeCurve, FrictionCurve
-from fitting.model.problem import datum_calibration
+from fitting.model.problem import rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values, columns, values
-from fitting.model.windows import FEWEST_LEVELS
 from fitting.record.motion import MeasuredMotion
 from fitting.result import Ranking
 from fitting.search.fit import Fit
@@ -39,7 +39,7 @@ from stickslip.toml import quote
 from stickslip.units import Measured
 
 DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
-STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005  # least excess of a break-away level over a curve: standard errors, and share
+LEAST_STATIC = 0.005  # least excess of a break-away level over a curve, of it
 BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a law, over its half-window
 LEAST_FRICTION = 0.1  # least friction over a curve's fall: above 0, which changes no motion
 # Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).
@@ -271,7 +271,7 @@ def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: 
         p = rig.values(unknowns)
         return p.K * (place.value - p.datum) + p.damping * p.v_dr - rig.at_rest(unknowns)
 
-    return BreakAwayLevel(excess, curve.spline_fit.values.K * place.sd, STATIC_ERRORS, LEAST_STATIC)
+    return BreakAwayLevel(excess, curve.spline_fit.values.K * place.sd, noise_levels.SHOWN, LEAST_STATIC)
 
 
 def _held(spread: Array, rig: FittedRig) -> Array:
@@ -299,7 +299,7 @@ def _move_of_rest(rig: FittedRig) -> Array:
     if rig.motion.datum_prior is not None:
         return moved
     place = rig.slots.index(Global.DATUM)
-    default = rig.fit.held_rest or datum_calibration(rig.motion)
+    default = rig.fit.held_rest or rest_calibration(rig.fit.problem.runs[0])
     moved[place] = default.value - rig.unknowns[place]
     knots = rig.fit.spline.knots
     friction = rig.friction(rig.unknowns + moved, np.linspace(0.0, knots[-1], 20 * knots.size))
@@ -346,7 +346,7 @@ def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion
     """Return the break-away position in the fit's frame, m; None with too few."""
     seen = statistics.column("break_away_m")
     seen = seen[np.isfinite(seen)]
-    if seen.size < FEWEST_LEVELS:
+    if seen.size < noise_levels.FEWEST:
         return None
     rest = motion.datum_prior.value if motion.datum_prior is not None else 0.0
     error = 1.4826 * float(np.median(np.abs(seen - np.median(seen)))) / math.sqrt(seen.size)
@@ -361,7 +361,7 @@ def _scatter(fit: Fit) -> float:
     table = run.windows.table
     slips = (table[:, 1] == 0) & run.inlier_cycles[table[:, 0]]
     time, level = run.windows.level_epoch[slips], np.exp(run.local[table[slips, 0], PerCycle.LEVEL])
-    if level.size <= FEWEST_LEVELS:
+    if level.size <= noise_levels.FEWEST:
         return 0.0
     centred = time - time.mean()
     left = level - level.mean() - centred * float(np.sum(centred * level) / np.sum(centred**2))

@@ -15,6 +15,7 @@ from itertools import combinations
 from typing import Any
 
 from daq.runfile.rig import Rig
+from fitting import noise_levels
 from fitting.judge.parameters import RUNS_OWN, Parameter
 from fitting.laws import PER_MASS, Competitors, Given, Law
 from fitting.model.problem import GivenUnknown, Run
@@ -108,7 +109,6 @@ def _newtons(name: str, motion: MeasuredMotion) -> float:
     return 1.0 if motion.mass is None else motion.mass.value
 
 
-CONTRADICTED_BY = 4.0  # standard deviations between calibration and fit, chosen: at 3, 1 true one in 400 is reported
 UNITS = {"belt-speed": "m/s", "datum": "m", "x0": "m", "damping": "N s/m", "stiffness": "N/m"}
 LawParameters = Sequence[Mapping[str, Parameter]]  # of a law that describes the runs, its parameters of each run
 Refit = Callable[[Sequence[Run]], Sequence[LawParameters]]  # what describes runs with other calibrations
@@ -151,7 +151,7 @@ def _of_runs(
     found: list[list[Finding]] = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
         by_law = [
-            [one for one in _compared(run.motion, own[number], record.recording.rig) if one.sigmas > CONTRADICTED_BY]
+            [one for one in _compared(run.motion, own[number], record.recording.rig) if one.sigmas > noise_levels.SHOWN]
             for own in described
         ]
         shared = set.intersection(*({one.code for one in own} for own in by_law)) if by_law else set()
@@ -206,7 +206,7 @@ def find_other_contact(each: Sequence[Mapping[int | str, Mapping[str, Parameter]
         if name in each[other][law] and name not in RUNS_OWN
     ]
     sigmas, name, one, other = max(found)
-    if sigmas <= CONTRADICTED_BY:
+    if sigmas <= noise_levels.SHOWN:
         return None
     first, second = each[one][law][name], each[other][law][name]
     text = (

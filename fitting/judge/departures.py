@@ -150,7 +150,7 @@ def solve(matrix: Array, right: Array) -> Array:
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])
 
 
-LEAST_SIGMAS, LEAST_GAIN = 4.0, 12.0  # of a reported departure; a true law alone allows gains of 6
+LEAST_GAIN = 12.0  # of a reported departure; a true law alone allows gains of 6
 LEAST_COST_SHARE = 0.01  # gain over the whole cost: patterns of counts explain 0.4 %
 SCALES_AT_ONCE = 16  # curvatures between all columns are made, and only those of one scale used
 # Scales tried about the best of a scan, in steps between neighbours.
@@ -332,11 +332,14 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     base = None if finished is None else Base.at(finished, fit.problem.motions)
     if finished is None or base is None:
         return None
-    linear = base.linear
-    before = replace(linear, residual=fit.residual).cost
+    # A law that is far from the record may have been fitted to a thinned one alone.
+    alone, linear = fit.residual if fit.whole else fit.residual_in(finished.windows, fit.local), base.linear
+    if alone is None:
+        return None
+    before = replace(linear, residual=alone).cost
     refit = Refit(without_level_errors(finished), base, before - linear.cost)
     dissipates = candidate.departure.drag is None or refit.size[0] > 0
-    return refit if dissipates and refit.sigmas > LEAST_SIGMAS else None
+    return refit if dissipates and refit.sigmas > noise_levels.SHOWN else None
 
 
 def _start(task: Task, end: Fit | None, size: Array) -> FitStart:

@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 from fitting import noise_levels
 from fitting.distributions import student_quantile
 from fitting.judge import parameters
-from fitting.judge.calibrations import CONTRADICTED_BY
 from fitting.judge.parameters import without_level_errors
 from fitting.laws import Law
 from fitting.model.predict import FitStart, law_task
@@ -44,7 +43,6 @@ from fitting.search.fit import Fit
 from stickslip.compute.arrays import Array, autocorrelation_time
 from stickslip.units import Measured
 
-FEWEST_CYCLES = 4  # cycles of which the usual are trusted: of fewer, all count
 DRAG_PIECES = 8  # equal pieces of a start-up drag, where it is all the evidence
 RELATED_FACTOR = 2.0  # error over the best law's: a limit of it that is further off is no near relative
 COUNTING_LIMIT = 8.0  # error over an encoder's that constant friction leaves: 2 on its own motion, 170 on short sticks
@@ -85,7 +83,7 @@ def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
         if fit.geometric_mean_rms < RELATED_FACTOR * best.geometric_mean_rms and _related(fit.law, best.law)
     ]
     trusted = np.logical_and.reduce([fit.inlier_cycles for fit in related])
-    return trusted if trusted.sum() >= FEWEST_CYCLES else np.ones_like(trusted)
+    return trusted if trusted.sum() >= noise_levels.FEWEST else np.ones_like(trusted)
 
 
 def _related(law: Law, other: Law) -> bool:
@@ -228,7 +226,7 @@ def _paired(errors: Array, others: Array) -> tuple[float, float]:
 def no_larger(errors: Array, best: Array, samples: float) -> bool:
     """Return whether a law's log errors (units,), without penalties, are no larger than the best law's within noise."""
     mean, error = _paired(errors, best)
-    return mean <= CONTRADICTED_BY * error or 2 * max(errors.size, samples) * mean < OPEN
+    return mean <= noise_levels.SHOWN * error or 2 * max(errors.size, samples) * mean < OPEN
 
 
 def runs_differ(fits: Sequence[Fit], best: Array, runs: Sequence[Run], units: Units) -> bool:

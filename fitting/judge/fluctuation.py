@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.judge.curve import rest_prior
 from fitting.judge.departures import Base, usual_rms
 from fitting.judge.parameters import BreakAway
 from fitting.model.forces import Forcing
+from fitting.model.problem import rest_calibration
 from fitting.record.cycles import CycleSegmentation
 from fitting.search.fit import Fit
 from processing.record.motion import Finding
@@ -149,7 +149,7 @@ def _friction_at_rest(fit: Fit) -> float:
     """Return friction at the break-aways, m/s^2, by the stretch of the spring: a wrong law may end at any level."""
     own = [rows for rows, run in zip(fit.rows, fit.windows.run, strict=True) if run == 0]
     highest = float(np.mean([np.max(fit.windows.position[rows]) for rows in own]))
-    return fit.values.K * (highest - rest_prior(fit.problem.runs[0]).value)
+    return fit.values.K * (highest - rest_calibration(fit.problem.runs[0]).value)
 
 
 def _correlation(residual: Array, base: Base) -> float:

@@ -20,15 +20,16 @@ import numpy as np
 from fitting import noise_levels
 from fitting.judge.calibrations import formula_given
 from fitting.judge.curve import MeasuredCurve, curve_target, seen_speeds
-from fitting.laws import PUBLISHED, Competitors, Law, natural_size
+from fitting.laws import MEMORY, MEMORY_LIMITS, PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
-from fitting.model.problem import EstimationProblem
+from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.memory import fit_memory
 from fitting.search.passes import finish
+from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
 GRID_SPEEDS = 300  # speeds at which a formula is compared with a fitted law, as dense as the curve's knots
@@ -80,7 +81,8 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
 
 def contained(law: Law, other: Law) -> bool:
     """Return whether the other is constant friction or a limit; a ramp of the six may have a break-away level."""
-    return (law.contains(other) or other.number == 1) and not (other.number and other.ramp)
+    constant = other.number == 1 and law.depends_on_speed
+    return (law.contains(other) or constant) and not (other.number and other.ramp)
 
 
 def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise]]:
@@ -151,7 +153,7 @@ def fit_formulas(
         asked = competitors.asks(law)
         fit: Fit | str = "the friction curve could not be measured"
         if law.rate:
-            fit = fit_memory(law, six[0].problem.runs)
+            fit = fit_memory(law, six[0].problem.runs, _nearest([*six, *fits]))
         elif curve is not None:
             fit = _fit(law, curve, [*six, *(other for other in fits if not other.law.rate)], asked=asked)
         if isinstance(fit, str):
@@ -162,6 +164,20 @@ def fit_formulas(
         fits.append(fit)
         warned += [_said(law, str(group), group.names) for group in fit.task.curve.together] if asked else []
     return fits, missing, warned
+
+
+def _nearest(fits: Sequence[Fit]) -> Fit:
+    return min((fit for fit in fits if not fit.law.rate), key=attrgetter("geometric_mean_rms"))
+
+
+def fit_memory_laws(competitors: Competitors, runs: Sequence[Run], others: Sequence[Fit], noise: Array) -> list[Fit]:
+    """Fit the laws with memory that were not requested, except limits of another one, as far as they can be fitted.
+
+    ``others`` are the fits of all other laws; ``noise`` (runs,) is that of a position, m.
+    """
+    limits = {name for others in MEMORY_LIMITS.values() for name in others}
+    laws = [law for law in MEMORY.values() if law.name not in limits and not competitors.asks(law)]
+    return [fit for law in laws for fit in [fit_memory(law, runs, _nearest(others), noise)] if isinstance(fit, Fit)]
 
 
 def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Iterator[Law]:
@@ -205,11 +221,15 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
 
 
 def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
-    """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended."""
+    """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended.
+
+    One that errs no less than constant friction shows no other friction, however little it errs more.
+    """
     for other in others:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
-        worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
-        if limit and (worse or fit.rms > WORSE * other.rms):
+        allowed = 1.0 if other.law.number == 1 else WORSE
+        worse = fit.geometric_mean_rms > allowed * other.geometric_mean_rms
+        if limit and (worse or fit.rms > allowed * other.rms):
             return f"its fit errs more than law {other.law.name}"
     return None
 

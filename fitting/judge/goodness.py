@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fitting import noise_levels
 from fitting.distributions import gamma_tail, gamma_upper_quantile
 from fitting.judge.linearised import LinearisedFit, Repeat
 from fitting.least_squares.normal_equations import MOST_AT_ONCE, Block, UnfollowableError
@@ -46,7 +47,6 @@ ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near
 STEADY_SPEED = 0.1  # from the belt's speed, over it: nearer, in stick, rounding errors are not white
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
 LEAST_WHITE_NOISE = 0.5  # least variance of white noise over rounding's; encoders without noise give up to 0.3
-JITTER_SHOWN = 4.0  # variance of the jitter, in its standard errors, that is shown
 FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
 ROUNDING = 1e-9  # distance over the range of the readings: nearer ones are the same
 
@@ -107,7 +107,7 @@ def estimate_noise(
     scale = max(float(np.sum(v2**2)), 1e-300)
     jitter2 = float(np.sum(excess * v2)) / scale
     error = math.sqrt(float(np.sum(((excess - jitter2 * v2) * v2) ** 2))) / scale
-    return PositionNoise(pitch, math.sqrt(white2), math.sqrt(jitter2) if jitter2 > JITTER_SHOWN * error else 0.0)
+    return PositionNoise(pitch, math.sqrt(white2), math.sqrt(jitter2) if jitter2 > noise_levels.SHOWN * error else 0.0)
 
 
 def reading_pitch(reading: Array) -> float:

@@ -6,9 +6,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from fitting import noise_levels
 from fitting.judge import evidence, screening
 from fitting.judge.adequacy import describes
-from fitting.judge.evidence import FEWEST_CYCLES
 from fitting.judge.parameters import without_level_errors
 from fitting.laws import SIX, Law
 from fitting.model.problem import Run
@@ -42,8 +42,8 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     if beyond and cut.cycles:
         what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
-    if len(excluded) == len(cut.cycles) >= FEWEST_CYCLES:
-        what = f"all {len(cut.cycles)} cycles are left out; a verdict needs {FEWEST_CYCLES}"
+    if len(excluded) == len(cut.cycles) >= noise_levels.FEWEST:
+        what = f"all {len(cut.cycles)} cycles are left out; a verdict needs {noise_levels.FEWEST}"
         raise InputError(what, "--exclude-cycles", "leave out fewer")
     run = Run(motion, cut)
     return _with_ripple(run) if cut.sustained else run
@@ -163,7 +163,7 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
             "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this run alone"
         )
     count = sum(len(run.cut.used) for run in runs)
-    if count < FEWEST_CYCLES:
+    if count < noise_levels.FEWEST:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
             refuse(f"{count} whole swing{'' if count == 1 else 's'} in it, and no stick", records)
         if count:  # a longer record of another motion would be none either
@@ -171,7 +171,7 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
-            f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
+            f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {noise_levels.FEWEST}",
             ", ".join(sources),
             _remedy(runs, sustained=sustained),
         )

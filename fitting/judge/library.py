@@ -27,10 +27,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from fitting import noise_levels
 from fitting.model import forces
 from fitting.model.forces import Departure, FittedMotion, Forcing, by_velocity, harmonic, spaced, speed_of_wave
 from fitting.record.motion import MeasuredMotion
-from fitting.record.ripple import FEWEST_LONG_STICKS, SLOWEST_OF_FEW, strongest_frequencies
+from fitting.record.ripple import SLOWEST_OF_FEW, strongest_frequencies
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 
@@ -86,7 +87,7 @@ def ripple_frequencies(trajectory: FittedMotion) -> Array:
         part = window == stick
         times.append(time[part])
         residuals.append(trajectory.residual[part] - trajectory.residual[part].mean())
-    if len(times) < FEWEST_LONG_STICKS:
+    if len(times) < noise_levels.FEWEST:
         return np.empty(0)
     slip_s = trajectory.slip_s
     peaks, apart = strongest_frequencies(

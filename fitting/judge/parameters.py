@@ -28,7 +28,7 @@ from fitting.distributions import student_quantile
 from fitting.least_squares.levenberg_marquardt import linearise
 from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, scaled_inverse
 from fitting.model.curves import LawCurve
-from fitting.model.problem import datum_calibration
+from fitting.model.problem import rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.windows import Wear
 from fitting.record.motion import MeasuredMotion
@@ -450,7 +450,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> Known:
         beside = {Global.DATUM: 1.0, Global.LOG_F: rate}
         if Global.D in active:
             beside |= {Global.D: rate * fit.values.d, Global.V_DR: rate * fit.values.d}
-        datum_sd = datum_calibration(motion).sd
+        datum_sd = rest_calibration(fit.problem.runs[run]).sd
         unseen = datum_sd * np.array([beside.get(slot, 0.0) for slot in active])
         spread, known_datum = spread + np.outer(unseen, unseen), spread
         if Global.D in active:

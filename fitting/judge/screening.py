@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq.runfile.rest_position import explain_impossible
+from fitting import noise_levels
 from fitting.judge.evidence import constant_friction_limit
 from fitting.laws import SIX, Law
 from fitting.least_squares.elimination import least_squares
@@ -43,7 +44,7 @@ SHARE_ERROR = 0.005  # standard error of the share without lost frames: 5 % lost
 POSSIBLE_ERRORS, SURE_ERRORS = 3.0, 6.0
 LEAST_SHARE_LOST = 0.01  # less moves parameters by less than 1 %
 ERRORS_BETWEEN_CYCLES = 2.5  # share in standard errors by the scatter between cycles, which the walk makes large
-FEWEST_PIECES, FEWEST_CYCLES = 8, 4
+FEWEST_PIECES = 8
 REWEIGHTINGS = 4  # fits, each with the weights of the last
 
 
@@ -76,7 +77,7 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
     interval = float(np.median(np.diff(record.time)))
     for n in PIECE_SAMPLES:
         squares, speeds, cycle = _pieces(own, n, interval)
-        if len(cycle) < FEWEST_PIECES or np.unique(cycle).size < FEWEST_CYCLES:
+        if len(cycle) < FEWEST_PIECES or np.unique(cycle).size < noise_levels.FEWEST:
             return None
         found = _regressed(squares, speeds, cycle, piece_modes(n), SHARE_ERROR if n < PIECE_SAMPLES[-1] else math.inf)
         if found is not None:
@@ -111,7 +112,7 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
     for one in np.unique(place):
         own = place == one
         count = int(own.sum())
-        if count >= FEWEST_CYCLES:
+        if count >= noise_levels.FEWEST:
             squares[own] = (squares[own] - squares[own].mean(axis=0)) ** 2 * (count / (count - 1))
             kept |= own
     return squares[kept], np.array(steps)[kept], np.array(cycles, np.int64)[kept]

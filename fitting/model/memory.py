@@ -23,10 +23,11 @@ from fitting.laws import Law
 from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
 from fitting.model import memory_flow, unknowns
 from fitting.model.curves import FrictionCurve
+from fitting.model.flow import SEARCH_STEP
 from fitting.model.memory_flow import BRISTLES, FC, FS, PARAMETERS, RATE_AND_STATE, SHARED, V_S
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.problem import EstimationProblem, Run, break_away_position, cycle_starts, thinned_to
+from fitting.model.problem import EstimationProblem, Run, cycle_starts, thinned_to
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
@@ -38,10 +39,9 @@ from stickslip.compute.compile import compiled
 
 MEMORY_LENGTH = 2.0  # travels: the prior of a start, a tenth of the travel, is then 5 % of the memory
 TOLERANCE = 3e-8  # of the position, over the travel, as the simulator would use it
+# Error of a step over the one that the simulator allows: in searches, and at the end, where the cost must not jump.
+SEARCH_LOOSER, LOOSER = 30.0, 1.0
 SLOWEST_STEADY = 1e-6  # slip speed over the belt's below which steady friction is constant
-# Of the starts, over the travel: presliding of bristles, and D of rate and state.
-PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
-B_OVER_FRICTION, A_OVER_B = 0.1, 0.3  # of the starts
 LARGEST_POWER = 300.0  # of an exponential: asinh is its logarithm there
 LOOP_POINTS = 4000  # of a picture
 PER_WINDOW = memory_flow.COLUMNS - memory_flow.OWN  # unknowns of a cycle
@@ -191,7 +191,8 @@ class MemoryModel(Model):
     def _follow(self, p: Array, local: Array, windows: ShootingWindows, columns: int = 0) -> tuple[Array | None, Array]:
         """Return positions, velocities, friction (3, n) and so many derivatives of the positions; None where lost."""
         motions, x = self.task.problem.motions, np.empty((3, windows.time.size))
-        scale = np.array([(MEMORY_LENGTH * own.travel, TOLERANCE * own.travel) for own in motions])
+        looser = SEARCH_LOOSER if self.longest_step == SEARCH_STEP else LOOSER
+        scale = np.array([(MEMORY_LENGTH * own.travel, TOLERANCE * own.travel, looser) for own in motions])
         derivatives, work = np.empty((windows.time.size, columns)), np.empty((4, memory_flow.COLUMNS, 3))
         follow = compiled(memory_flow.follow_windows, KERNELS, _nrt=False)
         with np.errstate(all="ignore"):
@@ -222,7 +223,7 @@ class MemoryCurve(FrictionCurve):
         """Return None: its motion is stiff, and followed by `MemoryModel` alone."""
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        raise TypeError("derivatives of a law with memory are differences, made by its model")
+        raise TypeError("derivatives of a law with memory are made by its model")
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
         """Return the friction of steady slip, of rate and state in the regularised form of the simulator."""
@@ -234,34 +235,15 @@ class MemoryCurve(FrictionCurve):
         return np.asarray(own["a"] * np.where(power < LARGEST_POWER, grown, power + math.log(2.0)))
 
 
-def memory_tasks(law: Law, runs: Sequence[Run]) -> list[tuple[Task, FitStart]]:
-    """Return the task of a law with memory, from each of its starts."""
+def memory_task(law: Law, runs: Sequence[Run], start: dict[str, float]) -> Task:
+    """Return the task of a law with memory, from first values of its parameters."""
     problem = MemoryProblem.of_law(law, runs)
     places = tuple(place for place in problem.active if place % PER_RUN in SHARED)
-    local = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, problem.start)
-    found = []
-    for values in starting_values(law, problem):
-        task = Task(problem, MemoryCurve(law, values), places)
-        found.append((task, FitStart(np.concatenate([problem.start[list(places)], task.curve.start]), local)))
-    return found
+    return Task(problem, MemoryCurve(law, start | dict(law.start or {})), places)
 
 
-def starting_values(law: Law, problem: EstimationProblem) -> list[dict[str, float]]:
-    """Return starts of a law's parameters: friction at rest and in slip from the regression, lengths of two decades."""
-    p, motion = unknowns.values(problem.start[:PER_RUN]), problem.motions[0]
-    fastest = float(np.max(motion.belt_speed - motion.velocity))
-    sliding = p.F / (1.0 + p.shape * fastest)
-    load = p.K * (break_away_position(motion, problem.runs[0].cut) - p.datum) + p.damping * p.v_dr
-    rest = max(p.F, load, sliding)
-    starts = []
-    bristles = MEMORY_LAWS[law.name].code == BRISTLE
-    for length in PRESLIDING if bristles else LENGTHS:
-        if bristles:
-            s0 = rest / (length * motion.travel)
-            own = {"s0": s0, "s1": math.sqrt(s0), "Fc": sliding, "Fs": rest, "v_s": 0.3 * fastest}
-        else:
-            middle = 0.5 * (rest + sliding)
-            b = B_OVER_FRICTION * middle
-            own = {"F0": middle, "a": A_OVER_B * b, "b": b, "D": length * motion.travel}
-        starts.append(own | dict(law.start or {}))
-    return starts
+def start_beside(task: Task, u: Array) -> FitStart:
+    """Return the start of a task at the rig of unknowns u (13 runs,), its windows at the smoothed motion."""
+    problem = task.problem
+    local = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, u)
+    return FitStart(np.concatenate([u[list(task.places)], task.curve.start]), local)

@@ -30,7 +30,6 @@ from rig_sim.friction.memory import AGEING, BRISTLE
 from rig_sim.integrate.memory import TRIALS, event_share, motion_within, relative_error, rosenbrock_step
 from stickslip.compute.arrays import Array, Integers
 
-LOOSER = 30.0  # error of a step over the one that the simulator allows
 FIRST_STEP = 1e-3  # x sqrt(m/k)
 MOST_STEPS = 2000  # of a window; usual ones take 100 to 300
 # Of rate and state, over the belt's speed: slip below which friction balances the load, and from which it ends to.
@@ -266,15 +265,15 @@ def store(flow: MemoryFlow, motion: Vector, x: Array, i: int) -> None:
     x[2, i] = (a + flow.c * v + flow.k * (position - flow.x0)) / flow.factor
 
 
-def follow_window(
-    law: int, p: Array, own: Array, spread: float, tolerance: float, time: Array, x: Array, dx: Array, work: Array
-) -> bool:
+def follow_window(law: int, p: Array, own: Array, scale: Array, time: Array, x: Array, dx: Array, work: Array) -> bool:
     """Follow one window to x (3, n) at ``time`` (n,), s; return whether that is possible.
 
+    ``scale`` are the spread of the memory, the tolerance, and the error of a step over that of the simulator.
     Rows of x are position, velocity, and friction over its level; ``dx`` (n, COLUMNS) are the derivatives of the
     positions, or empty; ``work`` (4, COLUMNS, 3) is overwritten.
     """
     d, f, speed = work[0], work[1:3], work[3]
+    spread, tolerance, looser = scale[0], scale[1], scale[2]
     flow = flow_of(law, p, own[LEVEL], tolerance)
     u = first_state(law, p, own, spread)
     start = motion_of(flow, 0.0, u)
@@ -316,7 +315,7 @@ def follow_window(
             n += 1
             continue
         after, error = rosenbrock_step(flow, t, u, h)
-        size = relative_error(flow, u, after, error) / LOOSER
+        size = relative_error(flow, u, after, error) / looser
         if not size <= 1.0:
             trials += 1
             if trials > TRIALS:
@@ -378,11 +377,10 @@ def follow_window(
 def follow_windows(
     law: int, p: Array, local: Array, table: Integers, scale: Array, time: Array, x: Array, dx: Array, work: Array
 ) -> bool:
-    """Follow windows (w, 6) of runs with parameters p (runs, 14); ``scale`` (runs, 2) are spread and tolerance."""
+    """Follow windows (w, 6) of runs with parameters p (runs, 14) and ``scale`` (runs, 3)."""
     for w in range(table.shape[0]):
         run, begin, stop = table[w, 5], table[w, 2], table[w, 2] + table[w, 3]
-        spread, tolerance = scale[run, 0], scale[run, 1]
         own = dx[begin:stop] if dx.size > 0 else dx
-        if not follow_window(law, p[run], local[w], spread, tolerance, time[begin:stop], x[:, begin:stop], own, work):
+        if not follow_window(law, p[run], local[w], scale[run], time[begin:stop], x[:, begin:stop], own, work):
             return False
     return True

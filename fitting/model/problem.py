@@ -23,7 +23,7 @@ from fitting.model import unknowns
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values
 from fitting.model.windows import ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
-from fitting.record.motion import MeasuredMotion
+from fitting.record.motion import REST_SD, MeasuredMotion
 from fitting.record.ripple import Ripple
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 from rig_sim.friction.law import Law as Kind
@@ -332,7 +332,7 @@ class EstimationProblem:
         upper[:, Global.SHAPE] = steepest
         for r, (run, own) in enumerate(zip(runs, first, strict=True)):
             motion, ripple, v = run.motion, run.ripple, run.motion.belt_speed
-            datum, belt, compliance = datum_calibration(motion), motion.belt_prior, motion.compliance
+            datum, belt, compliance = rest_calibration(run), motion.belt_prior, motion.compliance
             # Constant friction determines only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             known = {
@@ -478,7 +478,7 @@ def _regressed(
 ) -> tuple[list[unknowns.Values], float]:
     """Return each run's regression, with the medians of the contact, and the median size of a drag."""
     found = [
-        regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion), drag)
+        regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), rest_calibration(run), drag)
         for run in runs
     ]
     contact = {name: float(np.median([getattr(own, name) for own, _ in found])) for name in ("K", "F", "shape", "d")}
@@ -492,15 +492,19 @@ def thinned_to(run: Run) -> Thinning:
     return Thinning(stride, COARSE_SAMPLES if run.ripple is None else math.inf)
 
 
-def datum_calibration(motion: MeasuredMotion) -> Measured:
-    """Return the spring's rest position: the calibration, or the middle of the motion +- half its range.
+def rest_calibration(run: Run) -> Measured:
+    """Return the spring's rest position, m; without a calibration where the spring would be relaxed, loosely known.
 
-    Without a datum laws 1 and 3 determine only datum + Fs/k; the wide prior keeps the fit finite and its interval wide.
+    That is the first position of a record that begins at rest below the middle of the motion, else the lowest one:
+    friction is then nowhere negative.  Laws 1 and 3 determine only datum + Fs/k: the prior keeps the fit finite.
     """
+    motion = run.motion
     if motion.datum_prior is not None:
         return motion.datum_prior
-    middle = 0.5 * float(motion.position.max() + motion.position.min())
-    return Measured(middle, 0.5 * motion.travel)
+    lowest, highest = float(motion.position.min()), float(motion.position.max())
+    first = float(motion.position[0])
+    released = run.cut.starts_at_rest and first < 0.5 * (lowest + highest)
+    return Measured(first if released else lowest, REST_SD * motion.travel)
 
 
 def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:

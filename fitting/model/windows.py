@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting import noise_levels
 from fitting.least_squares.normal_equations import Block, blocks_of
 from fitting.model import unknowns
 from fitting.model.unknowns import PER_CYCLE, PER_RUN, PerCycle
@@ -204,9 +205,6 @@ class ShootingWindows:
         return found
 
 
-FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
-
-
 @dataclass(frozen=True)
 class Wear:
     relative_rate: Measured  # fraction of the mean level lost per second, 1/s; negative where the contact runs in
@@ -227,7 +225,7 @@ class Wear:
 
 def level_trend(time: Array, level: Array) -> Wear | None:
     """Fit a line to levels (n,) at times (n,), s; None for fewer than four, or if it is negative at the start."""
-    if level.size < FEWEST_LEVELS:
+    if level.size < noise_levels.FEWEST:
         return None
     level = level / level.mean()
     middle = float(time.mean())

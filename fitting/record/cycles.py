@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fitting import noise_levels
 from fitting.record.motion import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, MeasuredMotion
 from stickslip.compute.arrays import Array, Mask, runs
 
@@ -32,7 +33,6 @@ OVERTAKES_BY = 0.02  # speed above the plateau, over the belt's, at which the ma
 LONGEST_TURN = 1.0  # time at rest: for longer, a mass stands on a belt that stands; a sliding mass only turns there
 ROUNDING = 1e-3  # rounding of times over the usual interval: 1e-6 after a week at 10 kHz
 FEWEST_AT_REST = 8  # samples of a line that shows rest
-REST_SPEED_ERRORS = 4.0  # slope of that line, in standard errors, that is still rest
 WIDEST_SLACK = 0.25  # error of that slope, over the belt's speed, from which it shows nothing
 SCATTER_AT_REST = 2.0  # scatter about that line over the noise: more is motion
 SUSTAINED_SHARE = 0.15  # share of the record in plateaus: below it the mass only grazes the belt
@@ -176,7 +176,7 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
     t, x = motion.time[:last] - motion.time[:last].mean(), motion.measured[:last]
     spread = float(np.sum(t**2))
     slope = float(np.sum(t * (x - x.mean()))) / spread
-    slack = max(REST_SPEED * motion.belt_speed, REST_SPEED_ERRORS * motion.resolution / math.sqrt(spread))
+    slack = max(REST_SPEED * motion.belt_speed, noise_levels.SHOWN * motion.resolution / math.sqrt(spread))
     flat = abs(slope) < slack < WIDEST_SLACK * motion.belt_speed
     return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
 

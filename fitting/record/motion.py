@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile.rig import Rig
+from fitting import noise_levels
 from fitting.least_squares.elimination import least_squares
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
@@ -32,6 +33,9 @@ from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
 COMPLIANCE_SHOWN = 3.0  # standard errors of the slope: a belt with a smaller one is taken as stiff
+# Standard deviation of an unknown rest position over the travel: a fall of friction by a fifth stretches the spring by
+# 2.5 travels.
+REST_SD = 3.0
 LEAST_VARIATION = 2e-3  # residual variation, over the belt's speed, that gives a warning
 VARIATION_SHOWN = 2.0  # residual variation over what counting alone shows: less is none
 
@@ -179,7 +183,6 @@ def _middle_mean(values: Array) -> float:
 
 SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
 REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
-FEWEST_STICKS = 4  # whose median is the belt's speed; of fewer one misplaced stick moves it
 SHORTEST_PHASE = 0.06  # shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a hole as long may hide one
 GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
 
@@ -274,8 +277,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     readings = recording.position - kinematics.offset
     prior = believed
     if channel is not None:
-        middle = 0.5 * float(position.max() + position.min())
-        unknown = Measured(middle, 0.5 * float(np.ptp(position)))
+        unknown = Measured(sign * float(np.min(sign * position)), REST_SD * float(np.ptp(position)))
         prior = channel.speed_without_load(unknown if rest is None else rest)
         prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
     return MeasuredMotion(
@@ -378,14 +380,14 @@ def _resolution(kinematics: Kinematics) -> tuple[float, float]:
 
 
 def speed_in_sticks(kinematics: Kinematics) -> float:
-    """Return the median speed of the sticks, m/s, signed; NaN with fewer than `FEWEST_STICKS`."""
+    """Return the median speed of the sticks, m/s, signed; NaN with fewer than `noise_levels.FEWEST`."""
     time, x = kinematics.time, kinematics.steady_position
     speeds = [
         (x[stick.last] - x[stick.first]) / (time[stick.last] - time[stick.first])
         for stick in kinematics.sticks
         if stick.last > stick.first
     ]
-    return float(np.median(speeds)) if len(speeds) >= FEWEST_STICKS else math.nan
+    return float(np.median(speeds)) if len(speeds) >= noise_levels.FEWEST else math.nan
 
 
 def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, *, given: bool) -> float:

@@ -19,6 +19,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting import noise_levels
 from fitting.least_squares.elimination import least_squares
 from fitting.record.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.record.motion import MeasuredMotion
@@ -33,8 +34,6 @@ FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: a single one c
 GRID_SAMPLES = 50.0  # samples a slip of the record that is transformed: four of the fastest period
 GRID_REFINEMENT = 4  # frequencies looked at for each of the transform's own
 CANDIDATES = 5  # frequencies tried: the gaps between sticks make false peaks beside the true one
-OUTLIER_ABOVE = 4.0  # distance in robust standard deviations: further off are corners that the cut left in
-FEWEST_LONG_STICKS = 4  # sticks longer than the smoothing blurs: of fewer, none is used
 LOG_ODDS = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
 NOISE_VALUES = 10.0  # values that the known noise of a velocity counts as: beside few others it decides
 HARMONIC_UNKNOWNS = 3  # unknowns: amplitude, phase and frequency
@@ -107,7 +106,7 @@ class Sticks:
         kept = np.abs(v - np.median(v)) < 0.5 * motion.belt_speed
         for _ in range(3):
             rest = v - np.sum(columns * least_squares(columns[kept], v[kept])[0], axis=1)
-            kept = np.abs(rest) <= OUTLIER_ABOVE * 1.4826 * np.median(np.abs(rest[kept]))
+            kept = np.abs(rest) <= noise_levels.SHOWN * 1.4826 * np.median(np.abs(rest[kept]))
         samples = np.bincount(line[kept])
         window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s) / float(np.median(np.diff(motion.time)))
         values = float(np.sum(np.maximum(samples[samples > 0] / window, 1.0)))
@@ -205,7 +204,7 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
         if end > first:
             parts.append(np.arange(first, end))
             long += motion.time[end - 1] - motion.time[first] > settle
-    return parts if long >= FEWEST_LONG_STICKS else []
+    return parts if long >= noise_levels.FEWEST else []
 
 
 def strongest_frequencies(time: Array, rest: Array, slip_s: float, slowest: float, count: int) -> tuple[Array, float]:

@@ -12,7 +12,8 @@ from daq.live.finished import RunSamples
 from daq.live.sticks import Spread, find_usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
-from fitting.judge import evidence, screening
+from fitting import noise_levels
+from fitting.judge import screening
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
 from stickslip.units import Measured
@@ -151,7 +152,7 @@ def test_the_spread_is_that_of_numpy() -> None:
 
 
 def test_the_least_number_of_cycles_is_that_of_the_fit() -> None:
-    assert (FEWEST_CYCLES, FEW_CYCLES) == (evidence.FEWEST_CYCLES, screening.FEW)
+    assert (FEWEST_CYCLES, FEW_CYCLES) == (noise_levels.FEWEST, screening.FEW)
     assert "a verdict needs 4" in advise(FEWEST_CYCLES - 1)
     assert "one disturbed cycle" in advise(FEWEST_CYCLES)
     assert advise(FEW_CYCLES) == "enough for a verdict; 32 cycles would halve the standard errors"

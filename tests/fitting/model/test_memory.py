@@ -11,14 +11,15 @@ import fitting
 import rig_sim
 from daq.runfile.rig import Rig
 from fitting.drawing import draw
-from fitting.laws import MEMORY
+from fitting.laws import MEMORY, SIX
 from fitting.least_squares.normal_equations import SchurComplement
 from fitting.model import memory
 from fitting.model.problem import Run
 from fitting.model.unknowns import Global
 from fitting.record import cycles
 from fitting.record.motion import from_kinematics
-from fitting.search.memory import fit_memory
+from fitting.search.exchange import fit_laws
+from fitting.search.memory import fit_memory, starting_values
 from processing.smoothing import smooth
 from rig_sim.scenes.scene import validate_content
 from stickslip.units import Measured
@@ -71,6 +72,17 @@ def run_of(law, seed=3, speed=0.22):
     return Run(seen, cycles.segment_cycles(seen))
 
 
+@cache
+def nearest(law, seed=3, speed=0.22):
+    return fit_laws([SIX[5]], [run_of(law, seed, speed)])[0]
+
+
+def first_start(law, contact):
+    problem = memory.MemoryProblem.of_law(law, [run_of(contact)])
+    task = memory.memory_task(law, problem.runs, next(starting_values(law, problem, nearest(contact))))
+    return task, memory.start_beside(task, problem.start)
+
+
 def truth(law):
     """Return the parameters per unit mass, and F0 at the speed that the fit holds, 1 m/s."""
     values = {name: value if name in ("v_s", "D", "v0") else value / MASS for name, value in CONTACTS[law].items()}
@@ -81,7 +93,7 @@ def truth(law):
 
 @pytest.mark.parametrize("law", CONTACTS)
 def test_a_law_with_memory_gives_its_parameters_from_positions(law):
-    fit = fit_memory(MEMORY[law], [run_of(law)])
+    fit = fit_memory(MEMORY[law], [run_of(law)], nearest(law))
     assert fit.whole
     assert fit.outcome == "converged"
     assert fit.geometric_mean_rms == pytest.approx(NOISE, rel=0.03)
@@ -97,7 +109,7 @@ def test_a_law_with_memory_gives_its_parameters_from_positions(law):
 
 @pytest.mark.parametrize("law", CONTACTS)
 def test_derivatives_are_those_of_the_motion(law):
-    task, start = memory.memory_tasks(MEMORY[law], [run_of(law)])[0]
+    task, start = first_start(MEMORY[law], law)
     p, true = len(task.places), truth(law)
     model = task.predict(task.problem.windows(thinned=True), 1.0)
     q = np.concatenate([start.q[:p], np.log([true[name] for name in task.curve.free])])
@@ -113,14 +125,14 @@ def test_derivatives_are_those_of_the_motion(law):
 def test_bristles_without_falling_friction_give_their_parameters():
     """Dahl's law does not stick and slip, but its windows, started as those of a record, determine it."""
     run, law = run_of("lugre"), MEMORY["dahl"].given(start={"s0": 2100.0, "s1": 55.0, "Fc": 2.4})
-    task, start = memory.memory_tasks(law, [run])[0]
+    task, start = first_start(law, "lugre")
     true = np.log([3000.0, 40.0, 2.6])
     q = np.concatenate([start.q[: len(task.places)], true])
     windows, chance = task.problem.windows(thinned=False), np.random.default_rng(1)
     position = task.predict(windows, 1.0).motion_in(windows, q, start.local, None)[0]
     measured = run.motion.measured.copy()
     measured[windows.source] = position + NOISE * chance.standard_normal(position.size)
-    fit = fit_memory(law, [replace(run, motion=replace(run.motion, measured=measured))])
+    fit = fit_memory(law, [replace(run, motion=replace(run.motion, measured=measured))], nearest("lugre"))
     assert fit.geometric_mean_rms == pytest.approx(NOISE, rel=0.03)
     sd = np.sqrt(np.diag(SchurComplement(fit.solution.blocks).covariance))[len(task.places) :]
     assert np.all(np.abs(fit.theta - true) < 3 * sd)
@@ -129,7 +141,7 @@ def test_bristles_without_falling_friction_give_their_parameters():
 
 def test_bristles_of_any_stiffness_can_be_followed():
     """Their derivatives diverged at a presliding of 1e-9 m: fits ended as "its motion cannot be followed"."""
-    task, start = memory.memory_tasks(MEMORY["lugre"], [run_of("lugre")])[0]
+    task, start = first_start(MEMORY["lugre"], "lugre")
     q = np.concatenate([start.q[: len(task.places)], np.log([2e9, 1.6e4, 0.43, 1.66, 0.165])])
     model = task.predict(task.problem.windows(thinned=True), 1.0)
     assert np.all(np.isfinite(model.all_derivatives(q, start.local).columns()))
@@ -150,7 +162,7 @@ def test_steady_friction_is_positive_at_any_speed(values):
 
 def test_two_belt_speeds_tell_a_from_b():
     runs = [run_of("ageing", seed, speed) for seed, speed in ((3, 0.22), (4, 0.12))]
-    alone, both = fit_memory(MEMORY["ageing"], runs[:1]), fit_memory(MEMORY["ageing"], runs)
+    alone, both = (fit_memory(MEMORY["ageing"], own, fit_laws([SIX[5]], own)[0]) for own in (runs[:1], runs))
     errors, true = [], truth("ageing")
     for fit in (alone, both):
         p, covariance = len(fit.places), SchurComplement(fit.solution.blocks).covariance
@@ -162,7 +174,7 @@ def test_two_belt_speeds_tell_a_from_b():
 
 def test_a_loop_of_one_cycle_surrounds_the_friction_of_steady_slip():
     """Where slip is fast, friction is within a hundredth of the steady one; where it reverses, friction does."""
-    fit = fit_memory(MEMORY["lugre"], [run_of("lugre")])
+    fit = fit_memory(MEMORY["lugre"], [run_of("lugre")], nearest("lugre"))
     speed, force = fit.loop
     steady = fit.task.friction(fit.q, np.abs(speed))
     fast = speed > 0.3
@@ -181,7 +193,7 @@ def test_a_loop_of_one_cycle_surrounds_the_friction_of_steady_slip():
 def test_a_belt_that_slows_under_load_is_not_modelled_with_memory():
     run = run_of("lugre")
     slowing = replace(run, motion=replace(run.motion, compliance=Measured(0.1, 0.01)))
-    assert "slows" in fit_memory(MEMORY["lugre"], [slowing])
+    assert "slows" in fit_memory(MEMORY["lugre"], [slowing], nearest("lugre"))
 
 
 @pytest.mark.parametrize("law", CONTACTS)
