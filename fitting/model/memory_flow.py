@@ -33,7 +33,7 @@ from stickslip.compute.arrays import Array, Integers
 FIRST_STEP = 1e-3  # x sqrt(m/k)
 MOST_STEPS = 2000  # of a window; usual ones take 100 to 300
 # Of rate and state, over the belt's speed: slip below which friction balances the load, and from which it ends to.
-CREEP_BEGINS, CREEP_ENDS = 1e-4, 1e-6
+CREEP_BEGINS, CREEP_ENDS = 1e-4, 1e-9
 SHORTEST_CREEP = 1e-4  # x sqrt(m/k)
 LANDING_STEPS = 3  # Newton steps to the end of the step that lands
 DIFFERENCE, LEAST_SIZE = 1e-6, 1e-3  # of an unknown over its size, where a window begins; and the least size
