@@ -16,7 +16,7 @@ from fitting.model.memory import MemoryProblem, memory_task, start_beside
 from fitting.model.problem import Run, break_away_position
 from fitting.model.unknowns import PER_RUN
 from fitting.search.exchange import best_end
-from fitting.search.fit import Fit
+from fitting.search.fit import Fit, PassNoise
 from fitting.search.passes import finish
 from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
 from stickslip.compute.arrays import Array
@@ -24,6 +24,7 @@ from stickslip.compute.arrays import Array
 SEARCHED_CYCLES = 8  # of each run, one after another, which choose among the starts: as many parameters and more
 # Of the starts, over the travel: presliding of bristles, and D of rate and state.
 PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
+STRIBECK = ("Fc", "Fs", "v_s")
 B_OVER_FRICTION, A_OVER_B, V_S_OVER_SPEED = 0.1, 0.3, 0.3  # of the starts; the last over the fastest slip
 
 
@@ -37,20 +38,22 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
         return "a belt that slows under load is not modelled with memory"
     steady = [replace(run, ripple=None) for run in runs]
     problem = MemoryProblem.of_law(law, steady)
-    values, few_cycles = list(starting_values(law, problem, nearest)), [_with_few_cycles(run) for run in steady]
-    tasks = [memory_task(law, few_cycles, own) for own in values]
-    few = best_end(tasks[0], [(start_beside(task, problem.start), None) for task in tasks])
+    begun, few_cycles = list(starting_values(law, problem, nearest)), [_with_few_cycles(run) for run in steady]
+    tasks = [memory_task(law, few_cycles, values) for values, _ in begun]
+    starts = [start_beside(task, u) for task, (_, u) in zip(tasks, begun, strict=True)]
+    few = best_end(tasks[0], [(start, None) for start in starts])
     if few is None:
         return "its motion cannot be followed"
     if noise is not None and few.geometric_mean_rms > noise_levels.LOST * float(np.max(noise)):
         return "it does not describe the first cycles"
-    task = memory_task(law, steady, values[0])
-    settled = best_end(task, [(start_beside(task, few.u)._replace(q=few.q), None)])
+    task = memory_task(law, steady, begun[0][0])
+    noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
+    settled = best_end(task, [(start_beside(task, few.u)._replace(q=few.q), noise_seen)])
     return "its motion cannot be followed" if settled is None else finish(settled) or settled
 
 
-def starting_values(law: Law, problem: MemoryProblem, nearest: Fit) -> Iterator[dict[str, float]]:
-    """Yield starts of a law's parameters: friction in slip of the regression, lengths of two decades.
+def starting_values(law: Law, problem: MemoryProblem, nearest: Fit) -> Iterator[tuple[dict[str, float], Array]]:
+    """Yield starts of a law's parameters and of the rig: friction in slip of the regression, lengths of two decades.
 
     Friction at rest is the load of the spring as the mass leaves the belt, at the ``nearest`` law's rest position: of
     weakly damped bristles the regression has far less, and from that s0 grows without end.
@@ -64,12 +67,17 @@ def starting_values(law: Law, problem: MemoryProblem, nearest: Fit) -> Iterator[
     if MEMORY_LAWS[law.name].code == BRISTLE:
         for length in PRESLIDING:
             s0 = rest / (length * motion.travel)
-            yield {"s0": s0, "s1": math.sqrt(s0), "Fc": sliding, "Fs": rest, "v_s": V_S_OVER_SPEED * fastest}
+            own = {"s0": s0, "s1": math.sqrt(s0), "Fc": sliding, "Fs": rest, "v_s": V_S_OVER_SPEED * fastest}
+            yield own, problem.start
+        steady = {name: value for name, value in nearest.own_values.items() if name in STRIBECK}
+        if len(steady) == len(STRIBECK):  # its limit
+            s0 = steady["Fs"] / (min(PRESLIDING) * motion.travel)
+            yield {"s0": s0, "s1": math.sqrt(s0)} | steady, nearest.u
         return
     middle = 0.5 * (rest + sliding)
     b = B_OVER_FRICTION * middle
     for length in LENGTHS:
-        yield {"F0": middle, "a": A_OVER_B * b, "b": b, "D": length * motion.travel}
+        yield {"F0": middle, "a": A_OVER_B * b, "b": b, "D": length * motion.travel}, problem.start
 
 
 def _with_few_cycles(run: Run) -> Run:

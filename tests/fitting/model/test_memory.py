@@ -79,8 +79,9 @@ def nearest(law, seed=3, speed=0.22):
 
 def first_start(law, contact):
     problem = memory.MemoryProblem.of_law(law, [run_of(contact)])
-    task = memory.memory_task(law, problem.runs, next(starting_values(law, problem, nearest(contact))))
-    return task, memory.start_beside(task, problem.start)
+    values, u = next(starting_values(law, problem, nearest(contact)))
+    task = memory.memory_task(law, problem.runs, values)
+    return task, memory.start_beside(task, u)
 
 
 def truth(law):
@@ -194,6 +195,15 @@ def test_a_belt_that_slows_under_load_is_not_modelled_with_memory():
     run = run_of("lugre")
     slowing = replace(run, motion=replace(run.motion, compliance=Measured(0.1, 0.01)))
     assert "slows" in fit_memory(MEMORY["lugre"], [slowing], nearest("lugre"))
+
+
+def test_bristles_too_stiff_to_show_give_way_to_their_limit(monkeypatch):
+    """With a presliding of 1 nm LuGre's law is a Gaussian Stribeck curve; it stood at six times the noise."""
+    monkeypatch.setitem(CONTACTS, "lugre", CONTACTS["lugre"] | {"s0": 1e9, "s1": 1e4})
+    ranking = fitting.rank(record_of.__wrapped__("lugre")[0], laws=["1-6", "lugre"])
+    assert ranking.members[0] == "stribeck-gaussian"
+    rows = {row["law"]: row for row in ranking.as_json()["ranking"]}
+    assert rows["lugre"]["reason"] == "its fit errs more than law stribeck-gaussian"
 
 
 @pytest.mark.parametrize("law", CONTACTS)
