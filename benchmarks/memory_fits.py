@@ -172,7 +172,7 @@ def main() -> None:
     for case, cells in table.items():
         print(f"| {' | '.join([case, *cells])} |")
     if given.write:
-        pages.write("identification.md", "memory fits", table)
+        pages.write("identification.md", "memory_fits", table)
 
 
 if __name__ == "__main__":

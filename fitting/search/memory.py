@@ -48,7 +48,8 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
         return "it does not describe the first cycles"
     task = memory_task(law, steady, begun[0][0])
     noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
-    settled = best_end(task, [(start_beside(task, few.u)._replace(q=few.q), noise_seen)])
+    start = start_beside(task, few.u)._replace(q=few.q)
+    settled = best_end(task, [(start, noise_seen), (start, None)])
     return "its motion cannot be followed" if settled is None else finish(settled) or settled
 
 
