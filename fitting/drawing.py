@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fitting.judge.curve import MeasuredCurve
-from fitting.judge.friction import friction_at, points, speeds, unit
+from fitting.judge.friction import friction_at, mass, points, speeds, unit
 from fitting.palette import INK, MEASURED, law_styles
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
@@ -61,9 +61,10 @@ def draw_both(axes: "Sequence[Axes]", laws: Shown, motion: MeasuredMotion, measu
 def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, part: float = 1.0) -> None:
     """Draw the laws, the first one heaviest, and the measurement up to a ``part`` of the largest relative speed.
 
-    Without ``measured`` the force balance of the first law is drawn as points.  Where its level is not determined, the
-    band is that of the shape, and the laws are moved to its level.
+    Without ``measured``, or where the first law has memory, its force balance is drawn as points.  Where the level of
+    the measurement is not determined, the band is that of the shape, and the laws are moved to its level.
     """
+    measured = None if laws[0][0].law.rate else measured
     top = float(measured.speed[-1]) if measured is not None else float(np.abs(speeds(motion)).max())
     reach = 1.02 * part * top
     speed = reach * np.linspace(0, 1, 401)[1:] ** 2  # from just above 0, where a jump has no value
@@ -77,15 +78,31 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
             force += float(np.mean(measured.friction - _force(fit, motion, measured.speed)))
         axes.plot(speed, force, lw=1.4 if place else 2.8, zorder=3, label=name, **style)
         ends = ends if place else [*ends, force.min(), force.max()]
+    slowest = _draw_loop(axes, *laws[0], motion, ends)
     low, high = min(ends), max(ends)
     room = 0.15 * (high - low)
     axes.set_ylim(low - room if low < 0 or (measured and not measured.level_known) else 0.0, high + room)
-    axes.set(xlim=(0, reach), xlabel="relative speed (m/s)", ylabel=f"friction ({unit(motion)})")
+    axes.set(
+        xlim=(max(1.05 * slowest, -reach), reach), xlabel="relative speed (m/s)", ylabel=f"friction ({unit(motion)})"
+    )
 
 
 def _force(fit: Fit, motion: MeasuredMotion, speed: Array) -> Array:
     """Return a law's friction, positive where it opposes the slip."""
     return motion.sign * friction_at(fit, motion, -motion.sign * speed)
+
+
+def _draw_loop(
+    axes: "Axes", fit: Fit, name: str, style: dict[str, Any], motion: MeasuredMotion, ends: list[float]
+) -> float:
+    """Draw friction along a cycle of a law with memory, add its extremes to ``ends``, and return the least speed."""
+    loop = fit.loop
+    if loop is None:
+        return 0.0
+    speed, force = loop[0], mass(motion, fit) * loop[1]
+    axes.plot(speed, force, label=f"{name}, one cycle", **style | {"lw": 0.9, "ls": "-", "zorder": 5})
+    ends += [float(force.min()), float(force.max())]
+    return min(float(speed.min()), 0.0)
 
 
 def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]:

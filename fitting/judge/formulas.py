@@ -153,7 +153,9 @@ def fit_formulas(
         asked = competitors.asks(law)
         fit: Fit | str = "the friction curve could not be measured"
         if law.rate:
-            fit = fit_memory(law, six[0].problem.runs, _nearest([*six, *fits]))
+            without = [fit for fit in (*six, *fits) if not fit.law.rate]
+            fit = fit_memory(law, six[0].problem.runs, _nearest(without))
+            fit = (isinstance(fit, Fit) and name_better_limit(fit, without)) or fit
         elif curve is not None:
             fit = _fit(law, curve, [*six, *(other for other in fits if not other.law.rate)], asked=asked)
         if isinstance(fit, str):
@@ -167,7 +169,7 @@ def fit_formulas(
 
 
 def _nearest(fits: Sequence[Fit]) -> Fit:
-    return min((fit for fit in fits if not fit.law.rate), key=attrgetter("geometric_mean_rms"))
+    return min(fits, key=attrgetter("geometric_mean_rms"))
 
 
 def fit_memory_laws(competitors: Competitors, runs: Sequence[Run], others: Sequence[Fit], noise: Array) -> list[Fit]:
@@ -181,13 +183,14 @@ def fit_memory_laws(competitors: Competitors, runs: Sequence[Run], others: Seque
 
 
 def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]) -> Iterator[Law]:
-    """Yield the requested laws followed by their formulas, then the published with the measured curve's contact."""
+    """Yield the requested formulas, the published ones with the measured curve's contact, and laws with memory."""
     motion = six[0].problem.motions[0]
-    for law in (*competitors.formulas, *competitors.six):
-        if not competitors.by_kernel(law):
-            yield formula_given(law, competitors.of_law(law), motion)
+    requested = [law for law in (*competitors.formulas, *competitors.six) if not competitors.by_kernel(law)]
+    given = [formula_given(law, competitors.of_law(law), motion) for law in requested]
     ramp = curve is not None and curve.spline_fit.problem.ramp
+    yield from (law for law in given if not law.rate)
     yield from (replace(law, ramp=ramp) for law in PUBLISHED.values() if not competitors.asks(law))
+    yield from (law for law in given if law.rate)
 
 
 def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) -> Fit | str:

@@ -205,6 +205,10 @@ class Model:
         path = None if curve is None else follow(windows, curve, own, local)
         return None if path is None else np.array([path.position, path.velocity])[:, path.reached]
 
+    def loop(self, windows: ShootingWindows, q: Array, local: Array, run: int | None, cycle: int) -> Array | None:
+        """Return slip speed, m/s, and friction (2, n) per unit mass along a cycle's window; None without memory."""
+        return None
+
     def residual(self, q: Array, local: Array) -> Array | None:
         if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):
             return self._last[2]

@@ -254,7 +254,8 @@ def friction(ranking: Ranking) -> tuple[Figure, str]:
     drawing.draw(axes, shown, ranking.motion, ranking.adequacy.curve)
     _legend(drawn, [axes])
     named = ", ".join(row.label for row in rows)
-    return drawn, f"Friction against relative speed: measured without a law, with its band, and {named}."
+    measured = "along the cycles" if rows[0].fit.law.rate else "without a law, with its band"
+    return drawn, f"Friction against relative speed: measured {measured}, and {named}."
 
 
 def laws(ranking: Ranking) -> tuple[Figure, str]:

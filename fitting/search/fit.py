@@ -286,6 +286,12 @@ class Fit:
         """Return positions, m, and velocities, m/s, (2, N) in windows of the fit; None where it cannot be followed."""
         return self.model.motion_in(windows, self.q, self.local, self.run)
 
+    @property
+    def loop(self) -> Array | None:
+        """Slip speed and friction (2, n) of the cycle of median error, of a law with memory."""
+        cycle = int(np.argsort(self.cycle_rms, kind="stable")[self.cycle_rms.size // 2])
+        return self.model.loop(self.windows, self.q, self.local, self.run, cycle)
+
     def level_trend(self, run: int = 0) -> Wear | None:
         return of_cycles(self.windows, self.inlier_cycles, self.local, run)
 

@@ -1,6 +1,6 @@
 """Fits of the laws with memory: several starts of the lengths of the memory, through the passes of every law.
 
-The steady friction of a start, and the rig, are those of the nearest law without memory.
+The rig of a start and its friction in slip are those of the regression, its load at rest that of the nearest law.
 """
 
 import math
@@ -11,10 +11,12 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.laws import Law
-from fitting.model.memory import memory_task, start_beside
-from fitting.model.problem import Run
+from fitting.model import unknowns
+from fitting.model.memory import MemoryProblem, memory_task, start_beside
+from fitting.model.problem import Run, break_away_position
+from fitting.model.unknowns import PER_RUN
 from fitting.search.exchange import best_end
-from fitting.search.fit import Fit
+from fitting.search.fit import Fit, PassNoise
 from fitting.search.passes import finish
 from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
 from stickslip.compute.arrays import Array
@@ -22,7 +24,8 @@ from stickslip.compute.arrays import Array
 SEARCHED_CYCLES = 8  # of each run, one after another, which choose among the starts: as many parameters and more
 # Of the starts, over the travel: presliding of bristles, and D of rate and state.
 PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
-B_OVER_FRICTION, A_OVER_B = 0.1, 0.3  # of the starts; the former where friction does not fall
+STRIBECK = ("Fc", "Fs", "v_s")
+B_OVER_FRICTION, A_OVER_B, V_S_OVER_SPEED = 0.1, 0.3, 0.3  # of the starts; the last over the fastest slip
 
 
 def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None = None) -> Fit | str:
@@ -34,38 +37,48 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
     if any(run.motion.compliance is not None for run in runs):
         return "a belt that slows under load is not modelled with memory"
     steady = [replace(run, ripple=None) for run in runs]
-    values = list(starting_values(law, nearest))
-    task = memory_task(law, [_with_few_cycles(run) for run in steady], values[0])
-    starts = [start_beside(memory_task(law, task.problem.runs, own), nearest.u) for own in values]
-    few = best_end(task, [(start, None) for start in starts])
+    problem = MemoryProblem.of_law(law, steady)
+    begun, few_cycles = list(starting_values(law, problem, nearest)), [_with_few_cycles(run) for run in steady]
+    tasks = [memory_task(law, few_cycles, values) for values, _ in begun]
+    starts = [start_beside(task, u) for task, (_, u) in zip(tasks, begun, strict=True)]
+    few = best_end(tasks[0], [(start, None) for start in starts])
     if few is None:
         return "its motion cannot be followed"
     if noise is not None and few.geometric_mean_rms > noise_levels.LOST * float(np.max(noise)):
         return "it does not describe the first cycles"
-    task = memory_task(law, steady, values[0])
-    settled = best_end(task, [(start_beside(task, few.u)._replace(q=few.q), None)])
+    task = memory_task(law, steady, begun[0][0])
+    noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
+    start = start_beside(task, few.u)._replace(q=few.q)
+    settled = best_end(task, [(start, noise_seen), (start, None)])
     return "its motion cannot be followed" if settled is None else finish(settled) or settled
 
 
-def starting_values(law: Law, nearest: Fit) -> Iterator[dict[str, float]]:
-    """Yield starts of a law's parameters: the steady friction of another law, and lengths of two decades."""
-    motion = nearest.problem.motions[0]
+def starting_values(law: Law, problem: MemoryProblem, nearest: Fit) -> Iterator[tuple[dict[str, float], Array]]:
+    """Yield starts of a law's parameters and of the rig: friction in slip of the regression, lengths of two decades.
+
+    Friction at rest is the load of the spring as the mass leaves the belt, at the ``nearest`` law's rest position: of
+    weakly damped bristles the regression has far less, and from that s0 grows without end.
+    """
+    motion, p = problem.motions[0], unknowns.values(problem.start[:PER_RUN])
     fastest = float(np.max(motion.belt_speed - motion.velocity))
-    speeds = np.linspace(0.0, fastest, 101)
-    friction = nearest.task.friction(nearest.q, speeds)
-    rest, sliding = float(friction[0]), float(friction[-1])
+    sliding = p.F / (1.0 + p.shape * fastest)
+    rig = nearest.values
+    load = rig.K * (break_away_position(motion, problem.runs[0].cut) - rig.datum) + rig.damping * rig.v_dr
+    rest = max(load, p.F, sliding)
     if MEMORY_LAWS[law.name].code == BRISTLE:
-        fallen = np.flatnonzero(friction < sliding + (rest - sliding) / math.e)
-        v_s = float(speeds[fallen[0]]) if fallen.size else fastest
         for length in PRESLIDING:
             s0 = rest / (length * motion.travel)
-            yield {"s0": s0, "s1": math.sqrt(s0), "Fc": sliding, "Fs": rest, "v_s": v_s}
+            own = {"s0": s0, "s1": math.sqrt(s0), "Fc": sliding, "Fs": rest, "v_s": V_S_OVER_SPEED * fastest}
+            yield own, problem.start
+        steady = {name: value for name, value in nearest.own_values.items() if name in STRIBECK}
+        if len(steady) == len(STRIBECK):  # its limit
+            s0 = steady["Fs"] / (min(PRESLIDING) * motion.travel)
+            yield {"s0": s0, "s1": math.sqrt(s0)} | steady, nearest.u
         return
-    fall = float(friction[10] - sliding) / math.log(10)  # by e-folds of the speed
-    b = fall / (1 - A_OVER_B) if fall > 0 else B_OVER_FRICTION * rest
-    level = sliding + (1 - A_OVER_B) * b * math.log(fastest / (law.fix or {})["v0"])
+    middle = 0.5 * (rest + sliding)
+    b = B_OVER_FRICTION * middle
     for length in LENGTHS:
-        yield {"F0": level, "a": A_OVER_B * b, "b": b, "D": length * motion.travel}
+        yield {"F0": middle, "a": A_OVER_B * b, "b": b, "D": length * motion.travel}, problem.start
 
 
 def _with_few_cycles(run: Run) -> Run:

@@ -6,10 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import fitting
 import rig_sim
 from daq.runfile.rig import Rig
+from fitting.drawing import draw
 from fitting.laws import MEMORY, SIX
 from fitting.least_squares.normal_equations import SchurComplement
 from fitting.model import memory
@@ -69,8 +71,15 @@ def run_of(law, seed=3, speed=0.22):
 
 
 @cache
-def nearest(law):
-    return min(fit_laws([SIX[5]], [run_of(law)]), key=lambda fit: fit.geometric_mean_rms)
+def nearest(law, seed=3, speed=0.22):
+    return fit_laws([SIX[5]], [run_of(law, seed, speed)])[0]
+
+
+def first_start(law, contact):
+    problem = memory.MemoryProblem.of_law(law, [run_of(contact)])
+    values, u = next(starting_values(law, problem, nearest(contact)))
+    task = memory.memory_task(law, problem.runs, values)
+    return task, memory.start_beside(task, u)
 
 
 def truth(law):
@@ -98,20 +107,43 @@ def test_a_law_with_memory_gives_its_parameters_from_positions(law):
 
 
 @pytest.mark.parametrize("law", CONTACTS)
-def test_derivatives_over_kept_steps_are_those_of_the_motion(law):
-    values = next(starting_values(MEMORY[law], nearest(law)))
-    task = memory.memory_task(MEMORY[law], [run_of(law)], values)
-    start = memory.start_beside(task, nearest(law).u)
+def test_derivatives_are_those_of_the_motion(law):
+    task, start = first_start(MEMORY[law], law)
     p, true = len(task.places), truth(law)
     model = task.predict(task.problem.windows(thinned=True), 1.0)
     q = np.concatenate([start.q[:p], np.log([true[name] for name in task.curve.free])])
     q[0] = STIFFNESS / MASS
     found = model.all_derivatives(q, start.local).columns()
-    for j, size in enumerate(model.sizes(q)):
-        step = (1e-5 if j < p else 1e-3) * size
+    for j in range(q.size):
+        step = (1e-5 if j < p else 1e-3) * max(1.0, q[j])
         beside = [model.residual(q + sign * step * (np.arange(q.size) == j), start.local) for sign in (1.0, -1.0)]
         expected = (beside[0] - beside[1]) / (2 * step)
         assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
+
+
+def test_bristles_without_falling_friction_give_their_parameters():
+    """Dahl's law does not stick and slip, but its windows, started as those of a record, determine it."""
+    run, law = run_of("lugre"), MEMORY["dahl"].given(start={"s0": 2100.0, "s1": 55.0, "Fc": 2.4})
+    task, start = first_start(law, "lugre")
+    true = np.log([3000.0, 40.0, 2.6])
+    q = np.concatenate([start.q[: len(task.places)], true])
+    windows, chance = task.problem.windows(thinned=False), np.random.default_rng(1)
+    position = task.predict(windows, 1.0).motion_in(windows, q, start.local, None)[0]
+    measured = run.motion.measured.copy()
+    measured[windows.source] = position + NOISE * chance.standard_normal(position.size)
+    fit = fit_memory(law, [replace(run, motion=replace(run.motion, measured=measured))], nearest("lugre"))
+    assert fit.geometric_mean_rms == pytest.approx(NOISE, rel=0.03)
+    sd = np.sqrt(np.diag(SchurComplement(fit.solution.blocks).covariance))[len(task.places) :]
+    assert np.all(np.abs(fit.theta - true) < 3 * sd)
+    assert np.all(sd < [0.001, 0.004, 0.03])
+
+
+def test_bristles_of_any_stiffness_can_be_followed():
+    """Their derivatives diverged at a presliding of 1e-9 m: fits ended as "its motion cannot be followed"."""
+    task, start = first_start(MEMORY["lugre"], "lugre")
+    q = np.concatenate([start.q[: len(task.places)], np.log([2e9, 1.6e4, 0.43, 1.66, 0.165])])
+    model = task.predict(task.problem.windows(thinned=True), 1.0)
+    assert np.all(np.isfinite(model.all_derivatives(q, start.local).columns()))
 
 
 @pytest.mark.parametrize("values", [{"F0": 4.0, "a": 0.1, "b": 0.35}, {"F0": 0.4, "a": 0.35, "b": 0.1}])
@@ -139,10 +171,37 @@ def test_two_belt_speeds_tell_a_from_b():
     assert errors[1] < 0.8 * errors[0]
 
 
+def test_a_loop_of_one_cycle_surrounds_the_friction_of_steady_slip():
+    """Where slip is fast, friction is within a hundredth of the steady one; where it reverses, friction does."""
+    fit = fit_memory(MEMORY["lugre"], [run_of("lugre")], nearest("lugre"))
+    speed, force = fit.loop
+    steady = fit.task.friction(fit.q, np.abs(speed))
+    fast = speed > 0.3
+    assert fast.sum() > 500
+    assert force[fast] == pytest.approx(steady[fast], rel=0.01)
+    falling = (speed > 0.05) & (speed < 0.1)
+    assert np.min((force - steady)[falling]) < -0.1 < 0.1 < np.max((force - steady)[falling])
+    assert force.max() == pytest.approx(truth("lugre")["Fs"], rel=0.02)
+    assert np.min(force[speed < 0]) < 0
+    drawn = Figure().subplots()
+    draw(drawn, [(fit, "LuGre", {})], run_of("lugre").motion, None)
+    assert drawn.lines[-1].get_label() == "LuGre, one cycle"
+    assert drawn.get_xlim()[0] < speed.min() < 0
+
+
 def test_a_belt_that_slows_under_load_is_not_modelled_with_memory():
     run = run_of("lugre")
     slowing = replace(run, motion=replace(run.motion, compliance=Measured(0.1, 0.01)))
     assert "slows" in fit_memory(MEMORY["lugre"], [slowing], nearest("lugre"))
+
+
+def test_bristles_too_stiff_to_show_give_way_to_their_limit(monkeypatch):
+    """With a presliding of 1 nm LuGre's law is a Gaussian Stribeck curve; it stood at six times the noise."""
+    monkeypatch.setitem(CONTACTS, "lugre", CONTACTS["lugre"] | {"s0": 1e9, "s1": 1e4})
+    ranking = fitting.rank(record_of.__wrapped__("lugre"), laws=["1-6", "lugre"])
+    assert ranking.members[0] == "stribeck-gaussian"
+    rows = {row["law"]: row for row in ranking.as_json()["ranking"]}
+    assert rows["lugre"]["reason"] == "its fit errs more than law stribeck-gaussian"
 
 
 @pytest.mark.parametrize(

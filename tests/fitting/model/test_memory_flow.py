@@ -1,0 +1,46 @@
+"""The motion along the windows of a fit against scipy's solution of the same equations."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fitting.model import memory
+from fitting.model.memory_flow import COLUMNS, FC, FS, PARAMETERS, V0, V_S, follow_window
+from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
+from stickslip.compute.compile import compiled
+
+BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
+NEVER_BENT = -700.0  # log of a deflection over that of steady slip
+RADIANS = 30.0  # of the oscillator: some four cycles, more than a window has
+# Settings without drive and ripple, which windows do not have, and without s2, which is part of their damping.
+CASES = [(law, n) for law in ("lugre", "dahl") for n in (0, 1, 3, 4, 8)]
+CASES += [(law, n) for law in ("ageing", "slip") for n in (0, 1, 2, 3, 4, 5, 6, 7)]
+
+
+@pytest.mark.parametrize(
+    ("looser", "error"), [(memory.LOOSER, 1e-6), (memory.SEARCH_LOOSER, 2e-5)], ids=["at the end", "in a search"]
+)
+@pytest.mark.parametrize(("law", "number"), CASES)
+def test_a_window_is_followed_as_by_scipy(monkeypatch, law, number, looser, error):
+    """The share of the travel: 0.1 um of 100 mm. Creep that ended at 1e-6 of the belt's speed erred by 5e-5 of it."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    from oracles import memory as peer
+
+    case = peer.SETTINGS[law][number]
+    case = replace(case, until=min(case.until, RADIANS * math.sqrt(case.m / case.k)))
+    times = np.linspace(0.0, case.until, 1001)
+    expected, _ = peer.solve(case, times)
+    values = {name: one if name in ("v_s", "D", "v0") else one / case.m for name, one in case.parameters.items()}
+    p = np.array([case.k / case.m, case.speed, 0.0, case.c / case.m, *(values.get(name, 0.0) for name in PARAMETERS)])
+    if "Fs" not in values:
+        p[FS], p[V_S] = p[FC], 1.0
+    code = MEMORY_LAWS[law].code
+    change = NEVER_BENT if code == BRISTLE else -math.log(p[V0] / case.speed)
+    own, scale = np.array([case.x, 0.0, 0.0, 0.0, change]), np.array([1.0, memory.TOLERANCE * np.ptp(expected), looser])
+    x, work = np.empty((3, times.size)), np.empty((4, COLUMNS, 3))
+    follow = compiled(follow_window, memory.KERNELS, _nrt=False)
+    assert follow(code, p, own, scale, times, x, np.empty((0, COLUMNS)), work)
+    assert np.sqrt(np.mean((x[0] - expected) ** 2)) < error * np.ptp(expected)
