@@ -113,7 +113,7 @@ def _compete(
     competitors = options.competitors
     six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
-    formulas, missing, warnings = fit_formulas(competitors, curve, six)
+    formulas, missing, warnings = fit_formulas(competitors, curve, six, sustained=sustained)
     direct = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
     lost = {fit.law: name_better_limit(fit, six) for fit in direct}
     fits = [*(fit for fit in direct if not lost[fit.law]), *formulas]

@@ -143,9 +143,13 @@ RUN_AWAY = 1e4  # size of a parameter over that by its unit, above which the sea
 
 
 def fit_formulas(
-    competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit]
+    competitors: Competitors, curve: MeasuredCurve | None, six: Sequence[Fit], *, sustained: bool = True
 ) -> tuple[list[Fit], list[Unfitted], list[str]]:
-    """Fit requested and published laws; also return those that cannot be fitted, and warnings."""
+    """Fit requested and published laws; also return those that cannot be fitted, and warnings.
+
+    Under friction that falls a mass sticks again and again: without ``sustained`` sticks no published law competes, as
+    of the six only those of constant friction do.
+    """
     fits: list[Fit] = []
     missing: list[Unfitted] = []
     warned: list[str] = []
@@ -156,6 +160,8 @@ def fit_formulas(
             without = [fit for fit in (*six, *fits) if not fit.law.rate]
             fit = fit_memory(law, six[0].problem.runs, _nearest(without))
             fit = (isinstance(fit, Fit) and name_better_limit(fit, without)) or fit
+        elif not (sustained or asked):
+            fit = "the mass does not stick again and again, as under friction that falls"
         elif curve is not None:
             fit = _fit(law, curve, [*six, *(other for other in fits if not other.law.rate)], asked=asked)
         if isinstance(fit, str):
