@@ -56,7 +56,8 @@ def _compatible(ranking: Ranking) -> str:
     if equal is not None and f"; {equal.label} " not in words:  # unless it was named as the next best
         words += f"; {equal.called} fits equally well"
     rest_known = all(side.motion.datum_prior is not None for side in ranking.sides)
-    if not rest_known and (formulas or any(isinstance(law, str) for law in ranking.not_excluded)):
+    others = (*ranking.members[1:], *ranking.not_excluded)
+    if others and not rest_known and (formulas or any(isinstance(law, str) for law in others)):
         words += ": the spring's rest position (--x0) would help to distinguish them"
     return words
 

@@ -131,8 +131,8 @@ def methods(race):
         if key != race.TIGHTEST
     )
     rows += (MethodResult(*race.TIGHTEST, None, 0.02, 1.0, "other events from t = 8.5"),)
-    others = {field.name: None for field in dataclasses.fields(Comparison) if field.name != "rows"}
-    made = race.tables({"law 5": Comparison(rows=rows, **others)})
+    others = {field.name: None for field in dataclasses.fields(Comparison) if field.name != "results"}
+    made = race.tables({"law 5": Comparison(results=rows, **others)})
     return {("accuracy.md", name): rows for name, rows in made.items()}
 
 
