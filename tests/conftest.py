@@ -94,8 +94,9 @@ def undrawn_report() -> Iterator[None]:
 
 
 def compete_alone(patch: pytest.MonkeyPatch) -> None:
-    """Let no published formula compete that was not named."""
-    patch.setattr("fitting.judge.formulas.PUBLISHED", {})
+    """Let no published law compete that was not named."""
+    for published in ("PUBLISHED", "MEMORY"):
+        patch.setattr(f"fitting.judge.formulas.{published}", {})
 
 
 @pytest.fixture
