@@ -231,7 +231,7 @@ def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array
 LEAST_EXPLAINED = 0.5
 RIVAL_SHARE = 0.9  # least share of what the first explains: one step does not distinguish such departures
 MOST_LAWS = 2  # laws that a departure is fitted with: the best, and the best of another curve
-GIVEN_UP_ABOVE_NOISE = 2.0  # error over the noise of a settled fit that is not finished; true departures are at 1
+GIVEN_UP_ABOVE_NOISE = 2.0  # error over the noise of a settled or finished fit that is given up; true ones are at 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,8 +329,10 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     if settled is None or settled.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * noise:
         return None
     finished = finish(settled, noises)
-    base = None if finished is None else Base.at(finished, fit.problem.motions)
-    if finished is None or base is None:
+    if finished is None or finished.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * noise:
+        return None
+    base = Base.at(finished, fit.problem.motions)
+    if base is None:
         return None
     # A law that is far from the record may have been fitted to a thinned one alone.
     alone, linear = fit.residual if fit.whole else fit.residual_in(finished.windows, fit.local), base.linear
