@@ -8,7 +8,7 @@ The motion determines K datum + friction. Without a calibrated datum only effect
 two: levels that scatter or wear, a ramp's creep, a belt that slows under load. Without these, curve and datum can move
 together and the motion is the same to the last digit. The level is then assumed, not fitted: the spring is relaxed
 where a record begins at rest below the middle of the motion, else at the lowest position, so that friction is nowhere
-negative. Band and parameters include the uncertainty of the rest position (`REST_SD`).
+negative. Band and parameters include the uncertainty of the rest position (`CURVE_REST_SD`).
 
 A simultaneous band holds the whole curve: its factor is the quantile of the largest deviation over all speeds, in
 standard deviations, from normal draws. As for the laws' parameters, the larger of two covariances counts: by the noise,
@@ -82,7 +82,7 @@ class MeasuredCurve:
 
 # Standard deviation of an assumed rest position over the travel: a fall of friction by a fifth stretches the spring by
 # 2.5 travels. Only the band and the intervals depend on it.
-REST_SD = 3.0
+CURVE_REST_SD = 3.0
 SCATTER_SHOWN = 4.0  # variance of the levels over that by noise, from which they separate datum and friction
 HIDDEN_STEP = 1e-3  # relative change of friction at rest, of the derivative by a hidden move: it is linear
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
@@ -94,7 +94,7 @@ def assumed_rest(fit: Fit) -> Measured | None:
     for motion in fit.problem.motions:
         if motion.datum_prior is not None or (yields and (motion.belt_measured or motion.belt_prior is not None)):
             return None
-    return rest_calibration(fit.problem.runs[0], REST_SD)
+    return rest_calibration(fit.problem.runs[0], CURVE_REST_SD)
 
 
 def law_scatters(fit: Fit, noise: Array) -> bool:
@@ -240,7 +240,7 @@ def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
     prior, precision = problem.prior.copy(), problem.precision.copy()
     lower, upper, start = problem.lower.copy(), problem.upper.copy(), problem.start.copy()
     for number, run in enumerate(problem.runs):
-        place, known = PER_RUN * number + Global.DATUM, rest_calibration(run, REST_SD)
+        place, known = PER_RUN * number + Global.DATUM, rest_calibration(run, CURVE_REST_SD)
         prior[place], precision[place] = known.value, 1 / known.sd**2 if known.sd > 0 else precision[place]
         if number == 0 and rest is not None:
             lower[place] = upper[place] = start[place] = rest.value

@@ -155,15 +155,15 @@ def fit_formulas(
     warned: list[str] = []
     for law in _candidates(competitors, curve, six):
         asked = competitors.asks(law)
+        others = [other for other in (*six, *fits) if not other.law.rate]
         fit: Fit | str = "the friction curve could not be measured"
         if law.rate:
-            without = [fit for fit in (*six, *fits) if not fit.law.rate]
-            fit = fit_memory(law, six[0].problem.runs, _nearest(without))
-            fit = (isinstance(fit, Fit) and name_better_limit(fit, without)) or fit
+            fit = fit_memory(law, six[0].problem.runs, _nearest(others))
+            fit = (isinstance(fit, Fit) and name_better_limit(fit, others)) or fit
         elif not (sustained or asked):
             fit = "the mass does not stick again and again, as under friction that falls"
         elif curve is not None:
-            fit = _fit(law, curve, [*six, *(other for other in fits if not other.law.rate)], asked=asked)
+            fit = _fit(law, curve, others, asked=asked)
         if isinstance(fit, str):
             missing.append(Unfitted(law, fit, asked))
             logger.info("law %s was not fitted: %s", law.name, fit)
@@ -183,7 +183,7 @@ def fit_memory_laws(competitors: Competitors, runs: Sequence[Run], others: Seque
 
     ``others`` are the fits of all other laws; ``noise`` (runs,) is that of a position, m.
     """
-    limits = {name for others in MEMORY_LIMITS.values() for name in others}
+    limits = {name for names in MEMORY_LIMITS.values() for name in names}
     laws = [law for law in MEMORY.values() if law.name not in limits and not competitors.asks(law)]
     return [fit for law in laws for fit in [fit_memory(law, runs, _nearest(others), noise)] if isinstance(fit, Fit)]
 

@@ -235,9 +235,8 @@ class MemoryCurve(FrictionCurve):
         return np.asarray(own["a"] * np.where(power < LARGEST_POWER, grown, power + math.log(2.0)))
 
 
-def memory_task(law: Law, runs: Sequence[Run], start: dict[str, float]) -> Task:
+def memory_task(law: Law, problem: MemoryProblem, start: dict[str, float]) -> Task:
     """Return the task of a law with memory, from first values of its parameters."""
-    problem = MemoryProblem.of_law(law, runs)
     places = tuple(place for place in problem.active if place % PER_RUN in SHARED)
     return Task(problem, MemoryCurve(law, start | dict(law.start or {})), places)
 

@@ -38,7 +38,8 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
         return "a belt that slows under load is not modelled with memory"
     steady = [replace(run, ripple=None) for run in runs]
     problem = MemoryProblem.of_law(law, steady)
-    begun, few_cycles = list(starting_values(law, problem, nearest)), [_with_few_cycles(run) for run in steady]
+    few_cycles = MemoryProblem.of_law(law, [_with_few_cycles(run) for run in steady])
+    begun = list(starting_values(law, problem, nearest))
     tasks = [memory_task(law, few_cycles, values) for values, _ in begun]
     starts = [start_beside(task, u) for task, (_, u) in zip(tasks, begun, strict=True)]
     few = best_end(tasks[0], [(start, None) for start in starts])
@@ -46,7 +47,7 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
         return "its motion cannot be followed"
     if noise is not None and few.geometric_mean_rms > noise_levels.LOST * float(np.max(noise)):
         return "it does not describe the first cycles"
-    task = memory_task(law, steady, begun[0][0])
+    task = memory_task(law, problem, begun[0][0])
     noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
     start = start_beside(task, few.u)._replace(q=few.q)
     settled = best_end(task, [(start, noise_seen), (start, None)])

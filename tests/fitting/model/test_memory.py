@@ -78,7 +78,7 @@ def nearest(law, seed=3, speed=0.22):
 def first_start(law, contact):
     problem = memory.MemoryProblem.of_law(law, [run_of(contact)])
     values, u = next(starting_values(law, problem, nearest(contact)))
-    task = memory.memory_task(law, problem.runs, values)
+    task = memory.memory_task(law, problem, values)
     return task, memory.start_beside(task, u)
 
 
