@@ -26,9 +26,12 @@ print(compiled(kernel.entry, (kernel.__name__,))(2.0))
 """
 
 
-def start(folder, number=0, stderr=subprocess.PIPE):
-    """Start a process that needs a kernel, another one for each number."""
+def write_kernel(folder, number=0):
+    """Write a kernel, another one for each number, before a process needs it: it may not be read half written."""
     (folder / "kernel_used_by_a_test.py").write_text(f"{KERNEL}\nNUMBER = {number}\n")
+
+
+def start(folder, stderr=subprocess.PIPE):
     line = [sys.executable, "-c", USE.format(folder=str(folder))]
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment)
@@ -36,18 +39,22 @@ def start(folder, number=0, stderr=subprocess.PIPE):
 
 def test_one_process_compiles_for_others_and_it_is_announced_once_per_installation(tmp_path):
     """Each of two processes compiled the kernels of a fit, 20 s of CPU, and each said "once per installation"."""
-    assert start(tmp_path, 0, subprocess.DEVNULL).communicate() == ("90.0\n", None)  # prints nowhere: counts for none
-    both = [start(tmp_path, 1), start(tmp_path, 1)]
+    write_kernel(tmp_path)
+    assert start(tmp_path, subprocess.DEVNULL).communicate() == ("90.0\n", None)  # prints nowhere: counts for none
+    write_kernel(tmp_path, 1)
+    both = [start(tmp_path), start(tmp_path)]
     answers = [process.communicate() for process in both]
     assert [out for out, _ in answers] == ["90.0\n", "90.0\n"]
     assert sorted(err for _, err in answers) == ["", kernels.ANNOUNCEMENT + "\n"]
-    assert start(tmp_path, 2).communicate() == ("90.0\n", "")
+    write_kernel(tmp_path, 2)
+    assert start(tmp_path).communicate() == ("90.0\n", "")
     assert len(list((tmp_path / "stickslip").glob("kernels-*"))) == 3
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes are POSIX")
 def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path):
     tmp_path.chmod(0o777)  # where another user could write, nothing is kept
+    write_kernel(tmp_path)
     for process in (start(tmp_path), start(tmp_path)):
         assert process.communicate() == ("90.0\n", kernels.NOT_KEPT + "\n")
 
