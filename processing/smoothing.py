@@ -7,7 +7,7 @@ never read here.
 
 import logging
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ import numpy as np
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
 from processing import belt_motion, blocks, stage
-from processing.blocks import BlockFindings, MotionModel, Stretches
+from processing.blocks import BlockFindings, BlockMotion, MotionModel, Stretches
 from processing.methods import registry
 from processing.model_values import restore
 from processing.record import series
@@ -39,7 +39,7 @@ REPAIRS = ("off", "flag", "fix")
 BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and CPU time for margins falls
 MARGIN = 2**12, 2**16  # samples that are also smoothed on either side of a block, at least and at most
 MARGIN_SLIPS = 2.0  # slips in a margin, since its end cuts one and can hide the stick next to it
-LARGE = 2**19  # samples: the command smooths longer records block by block; this length needs about 300 MB
+LARGE = 2**19  # samples: longer records are smoothed block by block; this length needs about 300 MB
 
 
 def smooth(
@@ -63,11 +63,18 @@ def smooth(
         motion_model, _ = _learn_model(
             lambda samples: _take_part(recording, data, samples), recording.position.__getitem__, n, *setting
         )
-    block = blocks.apply(recording, data, slice(0, n), 0, motion_model, repair=repair_counts)
-    header = blocks.join(
-        motion_model, [block.findings], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix"
-    )
-    columns: dict[str, Any] = block.columns
+    margin, length = (0, n) if n <= LARGE else (_margin(motion_model), BLOCK)
+
+    def read(begin: int, end: int) -> "tuple[Recording, Series, int]":
+        first, last = max(begin - margin, 0), min(end + margin, n)
+        return (recording, data, 0) if last - first == n else (*_take_part(recording, data, slice(first, last)), first)
+
+    smoothed = list(_apply_in_blocks(read, n, length, motion_model, repair_counts))
+    findings = [block.findings for block in smoothed]
+    header = blocks.join(motion_model, findings, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
+    columns: dict[str, Any] = {
+        name: np.concatenate([block.columns[name] for block in smoothed]) for name in smoothed[0].columns
+    }
     kinematics = Kinematics(recording=recording, times=times, **columns, **header, cpu_s=clock.process_time() - started)
     details = kinematics.recording.name, kinematics.method, len(kinematics.sticks), kinematics.cpu_s
     logger.info("smoothed %s: %s, %d sticks, %.2f s of CPU time", *details)
@@ -96,7 +103,6 @@ def smooth_file(
         setting = method, window, order, belt_speed, repair_counts
         start = run.load(slice(0, 1))
         model, recording = _learn_model(lambda part: _read_part(run, part, times, start), run.positions, n, *setting)
-    margin = int(np.clip(max(2 * model.window, MARGIN_SLIPS * model.slip), *MARGIN))
     belt = belt_motion.has_belt_encoder(recording)
     block_findings: list[BlockFindings] = []
     summaries: list[SmoothingSummary] = []
@@ -104,17 +110,13 @@ def smooth_file(
     def write(entry: h5py.Group) -> None:
         table = stage.begin(entry, n, recording.unit, belt=belt)
         with store.open_reader(path, samples) as run:
-            reader = _Reader(run, times, margin, start)
-            for begin in range(0, n, BLOCK):
-                end = min(begin + BLOCK, n)
-                part, data, low = reader.read(begin, end)
-                before = blocks.steps_before(block_findings, int(part.segment[0]), low)
-                block = blocks.apply(
-                    part, data, slice(begin - low, end - low), low, model, repair=repair_counts, before=before
-                )
+            reader = _Reader(run, times, _margin(model), start)
+            done = 0
+            for block in _apply_in_blocks(reader.read, n, BLOCK, model, repair_counts):
                 block_findings.append(block.findings)
-                stage.fill(table, begin, block.columns)
-                progress(end)
+                stage.fill(table, done, block.columns)
+                done += block.findings.samples
+                progress(done)
         header = blocks.join(
             model, block_findings, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix"
         )
@@ -124,6 +126,28 @@ def smooth_file(
 
     store.extend(path, "smooth", write, default="smooth")
     return summaries[0]
+
+
+def _margin(model: MotionModel) -> int:
+    """Return how many samples are also smoothed on either side of a block."""
+    return int(np.clip(max(2 * model.window, MARGIN_SLIPS * model.slip), *MARGIN))
+
+
+def _apply_in_blocks(
+    read: "Callable[[int, int], tuple[Recording, Series, int]]", n: int, length: int, model: MotionModel, repair: str
+) -> Iterator[BlockMotion]:
+    """Smooth a record of n samples in blocks of ``length``.
+
+    ``read`` returns the samples from one number to another with their neighbours, and the number of the first of these.
+    """
+    findings: list[BlockFindings] = []
+    for begin in range(0, n, length):
+        end = min(begin + length, n)
+        part, data, low = read(begin, end)
+        before = blocks.steps_before(findings, int(part.segment[0]), low)
+        block = blocks.apply(part, data, slice(begin - low, end - low), low, model, repair=repair, before=before)
+        findings.append(block.findings)
+        yield block
 
 
 def _check_options(method: str, repair_counts: str) -> None:
@@ -177,13 +201,15 @@ def _read_part(run: store.RunReader, samples: slice, times: str, start: "Recordi
 
 
 def _take_part(recording: "Recording", data: Series, samples: slice) -> "tuple[Recording, Series]":
-    count, belt = recording.count, recording.belt_count
+    count, belt, raw = recording.count, recording.belt_count, recording.raw
     part = replace(
         recording,
         time=data.time[samples],
         position=recording.position[samples],
         count=None if count is None else count[samples],
-        raw=None,
+        raw=None
+        if raw is None
+        else replace(raw, **{name: sent[samples] for name, sent in vars(raw).items() if sent is not None}),
         segment=recording.segment[samples],
         belt_count=None if belt is None else belt[samples],
     )

@@ -339,7 +339,7 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     if alone is None:
         return None
     before = replace(linear, residual=alone).cost
-    refit = Refit(finished, base, before - linear.cost)
+    refit = Refit(without_level_errors(finished), base, before - linear.cost)
     dissipates = candidate.departure.drag is None or refit.size[0] > 0
     return refit if dissipates and refit.sigmas > noise_levels.SHOWN else None
 
@@ -374,7 +374,7 @@ def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
         text=departure.says(counted=record.counted),
         explained=min(refit.gain / misfit, 1.0) if misfit > 0 else 0.0,
         law=refit.fit.law.key,
-        parameters=derived_parameters(without_level_errors(refit.fit), record, alpha),
+        parameters=derived_parameters(refit.fit, record, alpha),
         scale=Scale(departure.scale, scale, departure.scale_unit) if math.isfinite(scale) else None,
     )
 

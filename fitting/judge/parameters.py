@@ -26,7 +26,14 @@ import numpy as np
 
 from fitting.distributions import student_quantile
 from fitting.least_squares.levenberg_marquardt import linearise
-from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, scaled_inverse
+from fitting.least_squares.normal_equations import (
+    ROUNDING,
+    SchurComplement,
+    eigen,
+    normal_equations,
+    priors,
+    scaled_inverse,
+)
 from fitting.model.curves import LawCurve
 from fitting.model.problem import rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values, columns, values
@@ -135,7 +142,7 @@ SCATTER_ERRORS = 3.0
 
 
 def without_level_errors(fit: Fit) -> Fit:
-    """Return a fit with the curvatures at levels without their errors.
+    """Return a fit with the derivatives of its residuals at levels without their errors.
 
     Without a datum a ramp law constrains only Fs/d, v_dr - d and x0 + Fs/k, unless the level changes between cycles.
     Errors counted as such changes would give v_dr an interval a hundred times too narrow.
@@ -146,11 +153,13 @@ def without_level_errors(fit: Fit) -> Fit:
     for column in (PerCycle.LEVEL, PerCycle.NEXT_LEVEL):
         true, error = _true_square(fit, column)
         local[:, column] *= true / (true + error)
-    there, here = linearise(fit.least_squares, fit.solution.u, local), fit.solution.blocks
-    if there is None:
+    problem, solution = fit.least_squares, fit.solution
+    point = linearise(problem, solution.u, local)
+    if point is None:
         return fit
-    blocks = replace(there.blocks, g=here.g, gl=here.gl, cycle_g=here.cycle_g)
-    return replace(fit, solution=replace(fit.solution, blocks=blocks))
+    prior = priors(problem, solution.u, fit.local)
+    blocks = normal_equations(problem.first, problem.weights, solution.residual, point.derivatives, prior)
+    return replace(fit, solution=replace(solution, blocks=blocks))
 
 
 def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
@@ -175,8 +184,8 @@ def covariances(fit: Fit) -> tuple[Array, Array]:
     cycles = own.shape[0]
     scale, bread = scaled_inverse(H, np.diag(blocks.H))
     own = own * scale
-    priors = np.diag(fit.least_squares.precision * scale**2)
-    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + priors
+    prior_precision = np.diag(fit.least_squares.precision * scale**2)
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + prior_precision
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
     share = _founded(fit)
     informed = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))

@@ -57,6 +57,17 @@ def test_the_smoothers_agree_within_their_errors_and_find_the_same_sticks(path, 
     assert summary.belt_speed == pytest.approx(0.22, abs=1e-4)
 
 
+def test_a_long_record_in_memory_is_smoothed_in_the_blocks_of_a_file(path, small_blocks, monkeypatch):
+    """In one block, half an hour at 1 kHz took 0.85 GB."""
+    monkeypatch.setattr(smoothing, "LARGE", 10_000)
+    motion, summary = smooth(daq.load(path)), smoothing.smooth_file(path)
+    stored = stage.load(path)
+    assert motion.phases == summary.phases
+    assert motion.dropped_frames == summary.dropped_frames
+    for name in ("velocity", "velocity_errors"):
+        assert getattr(motion, name) == pytest.approx(getattr(stored, name), rel=1e-6, abs=1e-9)
+
+
 def test_sticks_and_slips_do_not_depend_on_the_blocks(tmp_path, pulled, monkeypatch):
     """Creep and 18 spikes a second: noise levels of each block gave 217 to 241 slips of one published record."""
     record = pulled(40.0).recording
