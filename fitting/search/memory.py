@@ -45,7 +45,7 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
     few = best_end(tasks[0], [(start, None) for start in starts])
     if few is None:
         return "its motion cannot be followed"
-    if noise is not None and few.geometric_mean_rms > noise_levels.NEAR * float(np.max(noise)):
+    if noise is not None and few.geometric_mean_rms > noise_levels.LOST * float(np.max(noise)):
         return "it does not describe the first cycles"
     task = memory_task(law, problem, begun[0][0])
     noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
