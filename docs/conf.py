@@ -39,7 +39,7 @@ def one_name_each(app: Any, what: str, name: str, obj: object, options: object, 
 
 def write_pages(app: Any) -> None:
     """Write the pages made from the source, each in a process of its own: usage lines name the program that runs."""
-    for script in ("command_pages.py", "constants_page.py"):
+    for script in ("command_pages.py", "constants_page.py", "run_file_table.py"):
         subprocess.run([sys.executable, Path(__file__).with_name(script)], check=True)
 
 
