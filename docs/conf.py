@@ -38,11 +38,12 @@ def one_name_each(app: Any, what: str, name: str, obj: object, options: object, 
 
 
 def write_pages(app: Any) -> None:
-    """Write the pages of the commands in another process: usage lines name the program that runs."""
-    subprocess.run([sys.executable, Path(__file__).with_name("command_pages.py")], check=True)
+    """Write what is made from the source, each in a process of its own: usage lines name the program that runs."""
+    for script in ("command_pages.py", "run_file_table.py"):
+        subprocess.run([sys.executable, Path(__file__).with_name(script)], check=True)
 
 
 def setup(app: Any) -> None:
-    """Write the pages of the commands before Sphinx reads the sources, and prepare docstrings before napoleon."""
+    """Write what is made from the source before Sphinx reads the sources, and prepare docstrings before napoleon."""
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", one_name_each, priority=400)
