@@ -1,5 +1,5 @@
 # demo: the main job in one go; test: the quick checks; test-slow: the long ones; test-kernels: the fit under every other
-# BLAS kernel that this processor runs; reliability: kills, full disks, signals, bad input, into docs/reliability.md; audit:
+# BLAS kernel that this processor runs; reliability: kills, full disks, signals, bad input, into their results.md; audit:
 # known vulnerabilities of constraints.txt; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
 # test begins with static (ruff, imports, mypy) on one core and kernels (what the tests would compile) on the other.
 PYTHON ?= python3

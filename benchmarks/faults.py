@@ -252,9 +252,6 @@ def page_tables(results: dict[str, Any]) -> dict[str, dict[str, list[str]]]:
             "steps of the position": [str(quiet["minutes"]), str(quiet["steps"])],
             "velocity steps": [str(quiet["minutes with counts"]), str(quiet["kicks"])],
         },
-        "faults cost": {
-            name: [f"{np.mean(ratios):.2f}", f"{max(ratios):.2f}"] for name, ratios in results["cost"].items()
-        },
     }
 
 
@@ -274,6 +271,9 @@ def main() -> None:
         print(f"\n{name}")
         for first, cells in table.items():
             print(f"  {first:44} {'   '.join(cells)}")
+    print("\nCPU time with spikes over that without: mean, largest")
+    for law, ratios in results["cost"].items():
+        print(f"  {law:44} {np.mean(ratios):.2f}   {max(ratios):.2f}")
     for wrong in results["clean"]["where"]:
         print("  false:", *wrong)
     for name, table in made.items() if given.write else ():

@@ -6,7 +6,7 @@ SEEDS seeds (default 2; `velocity_seeds.py` uses more); SAMPLES (default 2e6) is
 smoothed in chunks.  Errors are root mean square and largest error of the velocity, mm/s.  CPU time is that of one
 process, without compilation, best of a few runs.  The parameters of other packages are tuned with the exact motion,
 which no user can do; packages not installed (dependency group `bench`) are listed.  ``--write`` puts the case of
-7.67 um with jitter, the Savitzky-Golay coefficients and the costs into docs/velocity.md.
+7.67 um with jitter and the costs into docs/velocity.md.
 """
 
 import json
@@ -416,17 +416,6 @@ def method_rows(table: dict[str, list[float]]) -> dict[str, list[str]]:
     return found
 
 
-def savgol_rows(ratios: dict[str, float], errors: dict[str, tuple[float, float]]) -> dict[str, list[str]]:
-    """Return the rows of the table of Savitzky-Golay: scipy's CPU time over ours, and the errors of both."""
-    found = {}
-    for key in dict.fromkeys([*(f"{window},4" for window in WINDOWS), *errors]):
-        ratio = ratios.get(f"sg {key} over scipy")
-        ours, scipys = errors.get(key, (None, None))
-        found[key] = ["" if ratio is None else pages.significant(ratio)]
-        found[key] += ["" if error is None else "1" if error > 0.5 else f"{error:.0e}" for error in (ours, scipys)]
-    return found
-
-
 def cost_rows(speeds: dict[str, float], long: dict[str, float]) -> dict[str, list[str]]:
     """Return the rows of the table of costs; the first states the processor."""
     samples = long["samples"]
@@ -487,7 +476,6 @@ def main(seeds: int, samples: int, write: bool) -> None:
         print(f"  {key:40} {own:12.1e} {peer:12.1e}")
     if write:
         pages.write("velocity.md", "velocity methods", method_rows(collected[PAGE_CASE]))
-        pages.write("velocity.md", "velocity savgol", savgol_rows(collected["speed"], collected["coefficients"]))
         pages.write("velocity.md", "velocity cost", cost_rows(collected["speed"], collected["long record"]))
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "velocity.json").write_text(json.dumps(collected, indent=1) + "\n")

@@ -3,7 +3,7 @@
 ``python benchmarks/velocity_seeds.py [FIRST] [LAST] [SECTION ...] [--write]``: seeds FIRST to LAST (default 1 to 6);
 sections are `errors`, `sticks`, `scenes`, `windows`, `losses` and `kicks` (default all).  Every line gives mean,
 smallest and largest value over the seeds, and how many seeds are within the limit.  ``--write`` puts the sections
-`errors`, `scenes` and `losses` into tables of docs/velocity.md.
+`errors` and `losses` into tables of docs/velocity.md.
 """
 
 import json
@@ -194,17 +194,6 @@ def error_rows(rows: list[Row]) -> dict[str, list[str]]:
     }
 
 
-def scene_rows(rows: list[Row]) -> dict[str, list[str]]:
-    """Return the rows of the table of scenes: method chosen, rms of `rts`, `auto` over `rts`."""
-    found = {}
-    for name in [key for key in rows[0] if ":" not in key]:
-        chosen = {row[f"{name}: segment chosen"] for row in rows}
-        methods = "segment or rts" if len(chosen) > 1 else "segment" if chosen == {1.0} else "rts"
-        rms = float(np.mean([row[f"{name}: rms of rts"] for row in rows]))
-        found[name] = [methods, pages.significant(rms), span(rows, name, ".2f")]
-    return found
-
-
 def loss_rows(rows: list[Row]) -> dict[str, list[str]]:
     """Return the rows of the table of lost counts: share found, sizes right, false ones."""
     found = {}
@@ -221,7 +210,6 @@ def loss_rows(rows: list[Row]) -> dict[str, list[str]]:
 
 TABLES: dict[str, Callable[[list[Row]], dict[str, list[str]]]] = {
     "errors": error_rows,
-    "scenes": scene_rows,
     "losses": loss_rows,
 }
 

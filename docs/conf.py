@@ -17,7 +17,7 @@ html_show_copyright = False
 html_static_path, html_css_files = ["_static"], ["tables.css"]
 smartquotes = False  # flags begin with two hyphens
 html_title = f"stickslip {version}"
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "architecture.md", "decisions", "reference/constants.md"]  # for developers
 myst_heading_anchors = 3
 myst_enable_extensions = ["deflist"]
 autodoc_typehints = "signature"
@@ -38,12 +38,12 @@ def one_name_each(app: Any, what: str, name: str, obj: object, options: object, 
 
 
 def write_pages(app: Any) -> None:
-    """Write the pages made from the source, each in a process of its own: usage lines name the program that runs."""
-    for script in ("command_pages.py", "constants_page.py"):
+    """Write what is made from the source, each in a process of its own: usage lines name the program that runs."""
+    for script in ("command_pages.py", "run_file_table.py"):
         subprocess.run([sys.executable, Path(__file__).with_name(script)], check=True)
 
 
 def setup(app: Any) -> None:
-    """Write the pages made from the source before Sphinx reads the sources, and prepare docstrings before napoleon."""
+    """Write what is made from the source before Sphinx reads the sources, and prepare docstrings before napoleon."""
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", one_name_each, priority=400)

@@ -1,4 +1,4 @@
-"""Write docs/reference/constants.md from the source (Sphinx does so before it builds): the numbers that decide.
+"""Write docs/reference/constants.md, a page for developers, from the source: the tuning constants.
 
 They are the module constants of `processing` and `fitting` with a number in them, but those of drawings and reports,
 which decide nothing.
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "reference" / "constants.md"
 PACKAGES = ("processing", "fitting")
 DRAWN = {"drawing", "palette", "plot", "report"}  # folders and modules whose constants are sizes and colours
-HEAD = """# Numbers that decide
+HEAD = """# Tuning constants
 
 Each is physics, learned from the record, or chosen; its comment says what it counts, in which unit, and why.  This page
 is made from the source: {count} numbers.

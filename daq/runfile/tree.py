@@ -2,8 +2,8 @@
 
 A `Field` names the attribute that it holds, of whatever is written (``rig.mass``), and how it is computed where that is
 not simply the attribute.  The run itself is such a table (`daq.runfile.schema`), and so is each stage beside it
-(`processing.stage`, `fitting.report.stage`).  docs/reference/run-file.md is generated from them
-(docs/run_file_table.py).
+(`processing.stage`, `fitting.report.stage`).  docs/run_file_table.py writes the tables of
+docs/reference/run-file.md from them.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -36,8 +36,8 @@ def test_its_example_does_what_it_says(what, tmp_path, monkeypatch):
 
 
 def test_the_page_of_rig_toml_has_every_key():
-    page = (ROOT / "docs" / "reference" / "rig-toml.md").read_text()
-    without_sd = re.findall(r"`(\w+)`", page.split("one standard deviation of `KEY`, of all but ")[1].split(".\n")[0])
+    page = (ROOT / "docs" / "reference" / "run-file.md").read_text()
+    without_sd = re.findall(r"`(\w+)`", page.split("`KEY`, for all keys except ")[1].split(".\n")[0])
     for section, keys in {**SECTIONS, "board": tuple(KEYS)}.items():
         rows = re.findall(r"^\| `(\w+)` \|", page.split(f"| key of `[{section}]`")[1].split("\n\n")[0], re.MULTILINE)
         assert set(rows) == set(keys)

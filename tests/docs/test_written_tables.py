@@ -75,8 +75,6 @@ def test_a_page_without_the_marker_is_refused_and_left_alone(pages, tmp_path, da
 def test_every_marked_table_names_a_benchmark_that_writes_it(pages):
     named = set()
     for path in sorted(DOCS.rglob("*.md")):
-        if path.name == "reliability.md":  # its tables are of the campaigns: tests/reliability/page.py
-            continue
         text = path.read_text()
         for name, command in pages.marked(text):
             script = BENCHMARKS / f"{name.split()[0]}.py"

@@ -1,6 +1,6 @@
-"""What the campaigns share, and how their results come into docs/reliability.md.
+"""What the campaigns share, and how their results come into results.md.
 
-`make reliability` runs them at full size (``--full``); each then replaces its own rows of the page's tables.
+`make reliability` runs them at full size (``--full``); each then replaces its own rows of the tables.
 """
 
 import platform
@@ -15,13 +15,11 @@ from . import tasks
 from .forked import Server
 from .page import replace_rows
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/reliability.md"
+PAGE = Path(__file__).with_name("results.md")
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--full", action="store_true", help="campaigns at full size, with their rows in docs/reliability.md"
-    )
+    parser.addoption("--full", action="store_true", help="campaigns at full size, with their rows in results.md")
 
 
 @pytest.fixture(scope="session")

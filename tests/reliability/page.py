@@ -1,4 +1,4 @@
-"""The tables in docs/reliability.md: rows of a campaign that has run replace its own, the others stay."""
+"""The tables in results.md: rows of a campaign that has run replace its own, the others stay."""
 
 BEGIN, END = "<!-- begin: {} -->", "<!-- end: {} -->"
 TABLES = {

@@ -29,15 +29,15 @@ class Campaign:
     # It measures times between syncs, or writes more than memory should hold; the others work in memory where the
     # system offers a folder there, since they would mostly wait for the disk.
     on_disk: bool = False
-    # How the faults that it is known to find are named: docs/reliability.md states them in words, and has no rows of
+    # How the faults that it is known to find are named: results.md states them in words, and has no rows of
     # the campaign; any other fault fails the short size.
     open_faults: tuple[str, ...] = ()
 
 
-# Refused with other samples a slip than they have, or without (of 600): docs/reliability.md.
+# Refused with other samples a slip than they have, or without (of 600): results.md.
 OPEN_CONTACTS = tuple(f"contact {number}," for number in (201, 240, 278, 351, 546))
 
-# The order is that of the table in docs/reliability.md.
+# The order is that of the table in results.md.
 CAMPAIGNS = {
     "crash": Campaign(crash.crash, 3, 100, on_disk=True),  # kill points per command
     "disk": Campaign(disk.disk, 30, 882),  # refusals
