@@ -24,11 +24,11 @@ from fitting.laws import MEMORY, MEMORY_LIMITS, PUBLISHED, Competitors, Law, nat
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global
-from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
+from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, fits_worse, select_better, start_beside
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.memory import fit_memory
-from fitting.search.passes import WHOLE, finish
+from fitting.search.passes import WHOLE, finish, finish_from
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
@@ -76,6 +76,10 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
     if found is not None and found.geometric_mean_rms < limit:
         found = finish(found, noise) or found
+        same = min((other for other in others if other.law.ramp == law.ramp), key=by_error, default=found)
+        if law.name not in PUBLISHED and not (fits_worse(found, same) or fits_worse(same, found)):
+            # perhaps the same curve in another form: its cycles get the same weights
+            found = finish_from(found.task, found.start, same.noise) or found
     return found if found is not None and found.can_be_followed else None
 
 
