@@ -17,7 +17,7 @@ from fitting.model.problem import Run, break_away_position
 from fitting.model.unknowns import PER_RUN
 from fitting.search.exchange import best_end
 from fitting.search.fit import Fit, PassNoise
-from fitting.search.passes import finish
+from fitting.search.passes import finish, fit_cycles
 from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
 from stickslip.compute.arrays import Array
 
@@ -49,7 +49,7 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
         return "it does not describe the first cycles"
     task = memory_task(law, problem, begun[0][0])
     noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
-    start = start_beside(task, few.u)._replace(q=few.q)
+    start = fit_cycles(task, start_beside(task, few.u)._replace(q=few.q), noise_seen)
     settled = best_end(task, [(start, noise_seen), (start, None)])
     return "its motion cannot be followed" if settled is None else finish(settled) or settled
 

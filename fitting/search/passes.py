@@ -248,6 +248,15 @@ def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
     return found if found is not None and found.solution.cost < at.solution.cost else at
 
 
+def fit_cycles(task: Task, start: FitStart, noise: PassNoise) -> FitStart:
+    """Fit the cycles' own unknowns beside the shared ones of a start."""
+    model = task.predict(task.problem.windows(thinned=True), flow.SEARCH_STEP)
+    cycles = np.arange(len(task.problem.cycles))
+    part = least_squares_problem(model, noise, start.q).of_cycles(start.q, cycles)
+    end = None if part is None else levenberg_marquardt.minimise(part, np.empty(0), start.local, **CYCLE_RESTART)
+    return start if end is None else start._replace(local=end.local)
+
+
 def restarted(at: Fit) -> Array:
     """Restart outlying cycles from the smoothed motion where that costs less: a velocity step makes several minima."""
     cycles = np.flatnonzero(~at.noise.inliers)
