@@ -49,7 +49,7 @@ def smooth(
     times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
     repair_counts: Annotated[
         str,
-        Parameter(help="Steps of the position (lost counts, a datum that moved): off (no search), flag or fix them."),
+        Parameter(help="Steps of the position (lost counts, a shifted zero): off (no search), flag or fix."),
     ] = "flag",
     belt_speed: Annotated[
         str, Parameter(help="auto (from belt counts, else from plateaus), or a speed with its sign.")
@@ -146,7 +146,7 @@ def inspect(
     }
     lines = summary.format_run_sentences(motion, file) + slip_statistics.sentences(motion.unit)
     if stored is None:
-        lines.append("not smoothed yet, so smoothed in memory; keep it with: process smooth")
+        lines.append("not smoothed yet: smoothed in memory; to store the result: process smooth")
     return Answer(data, [*lines, f"picture: {target}"])
 
 

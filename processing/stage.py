@@ -33,7 +33,7 @@ BREAK_AWAYS = {  # column: attribute of a `SlipEvent`, unit, what it is
     "stick_time": ("stick_s", "s", "duration of the stick"),
     "slip_time": ("slip_s", "s", "duration of the slip"),
     "drop": ("drop_m", LENGTH, "how far the mass slips back"),
-    "break_away": ("break_away_m", LENGTH, "stretch of the spring at the break-away"),
+    "break_away": ("break_away_m", LENGTH, "extension of the spring at break-away"),
 }
 CORNERS = {"land": 1, "leave": 2, "start": 3, "stop": 4, "overtake": 5, "kick": 6}  # 5 is of earlier versions
 CORNERS_SAID = ", ".join(f"{code} {what}" for what, code in CORNERS.items())
@@ -161,7 +161,7 @@ STATISTICS: tree.Tree = (
             f"smooth/statistics/{name}_{key}",
             "f8",
             f"{unit}/s" if key == "trend" else unit,
-            f"{text}: mean; `_sd`, `_min`, `_max`, `_trend` likewise" if key == "mean" else "",
+            f"{text}: mean; `_sd`, `_min`, `_max` and `_trend`" if key == "mean" else "",
             value=_make_summary_getter(of, kind),
             optional=True,
         )
@@ -248,7 +248,7 @@ def load(path: Path) -> Kinematics | None:
         recording = _select_events(store.load(path, part), part)
         if stored["digest"] != recording.digest:
             raise InputError(
-                "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
+                "the smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
             )
         nexus.check_length(stored["motion.time"].size, recording.time.size, "smooth/kinematics/time", path)
         values = tree.select_part(stored, "motion")

@@ -135,7 +135,7 @@ def calibrate(
     from stickslip.output import atomic, suffix
 
     if not ring_down and distance is None:
-        raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
+        raise InputError("nothing to measure", "command line", "give --distance, or omit --no-ring-down")
     settings = resolve(board)
     request = RecordRequest(**settings)
     suffix.check(output, suffix.TOML)
@@ -145,7 +145,7 @@ def calibrate(
     if "port" not in settings:
         if distance is not None:
             what = "the simulated rig cannot be moved by hand, so --distance does not apply"
-            raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
+            raise InputError(what, "--distance", "give the --port of a board, or omit --distance")
         request = replace(request, port=rig_port(None, list(STRUCK), realtime=False))
     for flag, seconds, needed in (("--move", move, distance is not None), ("--duration", duration, ring_down)):
         if needed and not 0 < seconds < float("inf"):
@@ -179,9 +179,9 @@ def calibrate(
         raise ValueError("neither measurement was made")
     rig = measure.calibrate_rig(recording.rig, pitch, ring, mass)
     if ring is not None and rig.mass is None:
-        warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
+        warnings.append("without --mass only omega0 and the damping ratio are known, not stiffness and damping")
     if rig.metres_per_count is None:
-        warnings.append("without --distance there are no metres: lengths are counts")
+        warnings.append("without --distance lengths are in counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
     left_out = ["belt_speed"] if measure.belt_stands(recording.rig) else []
     text = (

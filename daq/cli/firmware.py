@@ -58,7 +58,7 @@ def firmware(
         "bauds": firmware_files.BAUDS,
     }
     lines = [
-        f"firmware {firmware_files.VERSION} for {kind.name} ({kind.mcu}) -> {hexfile}, source beside it",
+        f"firmware {firmware_files.VERSION} for {kind.name} ({kind.mcu}) -> {hexfile}, source in the same folder",
         f"wire: {kind.encoder_pins}, GND to GND; or, from a J-K box, {kind.counter_pins}",
         f"flash: {flash}",
     ]

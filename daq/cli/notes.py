@@ -85,7 +85,7 @@ def _list_notes(run: "Recording") -> dict[str, Any]:
 
 
 def list_runs(
-    folders: Annotated[tuple[Path, ...], Parameter(name="FOLDER", help="Folders of runs; default this one.")] = (),
+    folders: Annotated[tuple[Path, ...], Parameter(name="FOLDER", help="Folders of runs; default '.'.")] = (),
     /,
     *,
     json: Json = False,

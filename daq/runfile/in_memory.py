@@ -91,8 +91,8 @@ def read_counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: st
     whole = np.rint(values)
     off = np.flatnonzero(~(values == whole))
     if off.size:
-        what = f"{name} is {values[off[0]]:g} at sample {off[0]}, no count, and metres_per_count is given"
-        raise InputError(what, name, "give whole counts, or leave metres_per_count out if these are metres")
+        what = f"{name} is {values[off[0]]:g} at sample {off[0]}, not a count, but metres_per_count is given"
+        raise InputError(what, name, "give whole counts, or omit metres_per_count if these are metres")
     return np.asarray(whole, np.int64)
 
 

@@ -88,7 +88,7 @@ def add_link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
 
 def check_length(length: int, n: int, name: str, where: Path) -> None:
     if length != n:
-        raise InputError(f"/entry/{name} has {length} values where {n} belong", str(where), AGAIN)
+        raise InputError(f"/entry/{name} has {length} values instead of {n}", str(where), AGAIN)
 
 
 def read_group(parent: h5py.Group, name: str, where: Path) -> h5py.Group:

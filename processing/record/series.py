@@ -182,7 +182,7 @@ def check_numbers(time: Array, position: Array, where: str) -> None:
         finite = np.isfinite(values)
         if not finite.all():
             index = int(np.argmin(finite))
-            raise InputError(f"{name} is {values[index]} at sample {index}", where, "remove or mend that sample")
+            raise InputError(f"{name} is {values[index]} at sample {index}", where, "remove or correct that sample")
     steps = np.diff(time)
     if not (steps > 0).all():
         index = int(np.argmin(steps > 0)) + 1

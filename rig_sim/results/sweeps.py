@@ -272,5 +272,5 @@ def read_finished(file: ResumeFile) -> dict[float, list[AttractorAt]]:
                 for stored in row["attractors"]
             ]
     except (KeyError, TypeError):
-        raise InputError("holds a row that is not of a sweep", str(file.path), "name another file") from None
+        raise InputError("contains a row that is not of a sweep", str(file.path), "name another file") from None
     return finished

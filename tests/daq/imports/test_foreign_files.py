@@ -237,7 +237,7 @@ def _workbook(path, change=lambda sheet: sheet, time=TIME):
             lambda sheet: sheet.replace(
                 b"</sheetData>", b'<row r="1048576"><c r="XFD1048576"><v>1</v></c></row></sheetData>'
             ),
-            "cells beside the table only: left out: 1048576",  # 42 s of CPU time, then refused for memory
+            "cells outside the table only, skipped: 1048576",  # 42 s of CPU time, then refused for memory
         ),
     ],
 )

@@ -74,7 +74,7 @@ TEXTS = [
     (TWO, {"x_unit": "kg"}, ["--x-unit", "'kg'"]),
     (TWO, {"x_unit": "0 m"}, ["--x-unit", "zero"]),
     (TWO, {"x_unit": "cmm"}, ["'cmm' is not a unit of length; did you mean 'mm'?"]),
-    ("t,y,x (m)\n0,1,1\n1,2,2\n", {"belt_column": "y", "position": "x", "time": "t"}, ["states no unit"]),
+    ("t,y,x (m)\n0,1,1\n1,2,2\n", {"belt_column": "y", "position": "x", "time": "t"}, ["has no unit"]),
     # Times.
     ("x\n1\n2\n", {}, ["no column of times", "--frame-rate"]),
     ("frame,x\n1,2\n2,3\n", {}, ["frame numbers", "--frame-rate"]),
@@ -120,7 +120,7 @@ TEXTS = [
     (
         COUNT,
         {"metres_per_count": 1e-6},
-        ["is a length, and metres per count are given; leave metres_per_count out"],
+        ["is a length, and metres per count are given; omit metres_per_count"],
     ),
 ]
 
@@ -292,11 +292,11 @@ FILES = [
     (text(FORCE), {}, "--stiffness '168 N/m'; else choose"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "which column is the position?"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "spring_force='F'"),
-    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, no position"),
+    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, not a position"),
     (
         text(LENGTHS),
         {"belt_column": "belt"},
-        "states no unit: is it the position or the speed of the belt?; give belt_unit",
+        "has no unit: is it the position or the speed of the belt?; give belt_unit",
     ),
     (text(LENGTHS), {"belt_column": "belt", "belt_unit": "kg"}, "'kg' is a unit of neither"),
     (text(LENGTHS), {"belt_column": "z"}, "'N' is a unit of neither"),

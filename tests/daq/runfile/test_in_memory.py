@@ -127,7 +127,7 @@ def test_a_run_is_drawn_into_axes_that_are_given():
         ((TIME, X), {"mass": -1}, "mass: mass is -1; it must be positive"),
         ((TIME, X), {"mass": [1, 2, 3]}, "give a number in kg, (value, sd), or text such as '300 g'"),
         ((TIME, X), {"x0": "5 cm/s"}, "x0: 'cm/s' is not a unit of length"),
-        ((TIME, X), {"metres_per_count": 1e-6}, "no count, and metres_per_count is given; give whole counts, or leave"),
+        ((TIME, X), {"metres_per_count": 1e-6}, "not a count, but metres_per_count is given; give whole counts"),
         ((TIME, X), {"belt_position": X[:10]}, "belt_position holds 10 values and time 1500"),
     ],
 )
@@ -140,8 +140,8 @@ def test_a_wrong_array_or_quantity_is_named_with_what_to_do(columns, changes, wo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((TIME,), "a ndarray and no position; give a run, a file or two arrays: processing.smooth(time, position)"),
-        ((run(), X), "a position beside a run, which has its own; give the run alone"),
+        ((TIME,), "a ndarray without a position; give a run, a file or two arrays: processing.smooth(time, position)"),
+        ((run(), X), "a position in addition to a run; give the run alone"),
         (("no.h5",), "no.h5: no such file"),
     ],
 )
