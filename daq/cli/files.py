@@ -39,8 +39,8 @@ def import_table(
     """Make a run file from a table of times and positions, written by a camera, a sensor or another program.
 
     Delimiter, decimal sign, preamble, header and units are detected.  Numbers without a unit are taken as SI; if that
-    is implausible, you are asked for the unit.  With mass and stiffness the frame rate is checked against the duration of
-    the slips.
+    is implausible, you are asked for the unit.  With mass and stiffness the frame rate is checked against the duration
+    of the slips.
 
     A tribometer's record of the force of a pulling spring is read by --spring-force: the position is force /
     stiffness, as seen from the pulling end, which moves at --belt.  A belt that was measured is --belt-column.

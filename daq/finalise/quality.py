@@ -22,7 +22,7 @@ LEAST_HELD = 0.9  # share of the requested samples: with fewer, or more than the
 # A drift of fewer standard errors than CLEAR is not significant.  Its bound is then reported, unless that is more than
 # TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
 CLEAR, TELLING_PPM = 2.0, 1000.0
-REASONS = {"clock": "the clock leapt"}  # texts for the reasons of a segment that are not their own text
+REASONS = {"clock": "the clock jumped"}  # texts for the reasons of a segment that are not their own text
 LONG_GAP_S = 0.5  # length from which a warning gives the time of a gap
 
 

@@ -268,7 +268,7 @@ def _check_counts(cells: table.Table, column: int, options: ImportOptions) -> No
     """Reject a unit of length given together with metres per count."""
     flag = "--x-unit" if options.x_unit is not None else "--spring-force" if options.spring_force is not None else ""
     if flag:
-        raise InputError(f"{flag} beside metres per count", "command line", "omit one: counts have no other unit")
+        raise InputError(f"{flag} with metres per count", "command line", "omit one: counts have no other unit")
     if cells.names and find_dimension(cells.names[column]) == "length":
         what = f"{cells.label(column)} is a length, and metres per count are given"
         do = "omit --metres-per-count, or choose the column of counts by --position"

@@ -116,7 +116,7 @@ TEXTS = [
     ),
     (COUNT, {"counts_per_rev": 9, "circumference": 0}, ["metres_per_count is 0; it must be not zero"]),
     (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["give one or the other"]),
-    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit beside metres per count"]),
+    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit with metres per count"]),
     (
         COUNT,
         {"metres_per_count": 1e-6},
