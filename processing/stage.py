@@ -120,7 +120,7 @@ ROWS: tree.Tree = (
     Field("smooth/corners/time", "f8[q]", "s", "of the corner", "motion.corners.time"),
     Field("smooth/corners/time_errors", "f4[q]", "s", "", "motion.corners.sd"),
     Field("smooth/corners/what", "u1[q]", "", CORNERS_SAID, "motion.corners.what", codes=CORNERS),
-    tree.table("smooth/faults", "first", "last", "samples left out", optional=True),
+    tree.table("smooth/faults", "first", "last", "samples omitted", optional=True),
     Field("smooth/faults/first", "u4[f]", "", "first sample", "motion.faults.first"),
     Field("smooth/faults/last", "u4[f]", "", "last sample", "motion.faults.last"),
     Field(
@@ -130,7 +130,7 @@ ROWS: tree.Tree = (
     Field("smooth/findings/code", "text[d]", "", "name of the contradiction or fault", "motion.findings.code"),
     Field("smooth/findings/text", "text[d]", "", "the same in words", "motion.findings.text"),
     Field("smooth/findings/value", "f8[d]", "", "what the record shows", "motion.findings.value"),
-    Field("smooth/findings/expected", "f8[d]", "", "what was stated", "motion.findings.expected"),
+    Field("smooth/findings/expected", "f8[d]", "", "the stated value", "motion.findings.expected"),
     Field("smooth/findings/sigmas", "f8[d]", "", "standard deviations between both", "motion.findings.sigmas"),
 )
 PORTRAIT: tree.Tree = (

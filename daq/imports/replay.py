@@ -148,7 +148,8 @@ def sample_capture(
     if capture.rate_hz is None:
         raise InputError("does not contain its sample rate", where, "give it by --capture-rate, for example '1 MHz'")
     if not capture.samples / LONGEST_S <= capture.rate_hz <= sigrok.FASTEST_HZ:
-        raise InputError(f"{capture.samples} samples at {capture.rate_hz:g} Hz are no capture", where, "check the rate")
+        what = f"{capture.samples} samples at {capture.rate_hz:g} Hz cannot be right"
+        raise InputError(what, where, "check the rate")
     if not sigrok.SLOWEST_HZ <= rate_hz <= capture.rate_hz:
         what = f"--rate is {rate_hz:g} Hz, the capture was sampled at {capture.rate_hz:g} Hz"
         raise InputError(what, where, f"give a rate of {sigrok.SLOWEST_HZ:g} up to {capture.rate_hz:g}")

@@ -47,7 +47,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     else:
         values = np.asarray(data)
         if values.dtype.kind == "f" and units is None:
-            raise ValueError(f"float field {name!r} has no units; give units, '' when it is dimensionless")
+            raise ValueError(f"float field {name!r} has no units; give units, '' if it is dimensionless")
         filters = {}
         if values.ndim and values.size:
             filters = {"chunks": (min(values.shape[0], CHUNK), *values.shape[1:]), **FILTERS}

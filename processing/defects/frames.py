@@ -189,7 +189,7 @@ def belt_findings(stated: Measured | None, speed: float, unit: str) -> list[Find
     """Return the finding of a stated belt speed that differs from the speed of the sticks (NaN without one)."""
     if stated is None:
         return []
-    text = f"belt speed: {stated.value:.4g} m/s was stated, "
+    text = f"belt speed: {stated.value:.4g} m/s was given, "
     if unit != "m":
         text += "but the positions are in counts (no metres_per_count)"
         if math.isfinite(speed) and stated.value:

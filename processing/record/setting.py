@@ -84,7 +84,7 @@ def check_window(window: int, order: int) -> None:
         raise InputError(
             f"window is {window}; need an odd number above order {order}",
             "--window",
-            f"take {max(window + 1 - window % 2, order + 1 + order % 2)}",
+            f"use {max(window + 1 - window % 2, order + 1 + order % 2)}",
         )
 
 

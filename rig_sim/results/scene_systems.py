@@ -129,5 +129,5 @@ def require_interval(f: FormulaMap) -> FormulaMap:
     if len(f.scale) != 1 or not math.isfinite(f.hi - f.lo):
         do = "give its interval"
         python = f"write super().__init__(..., interval=(lo, hi)) in {type(f).__name__}, a map of one coordinate"
-        raise InputError("is no map of an interval", type(f).__name__, do, python=python)
+        raise InputError("is not a map of an interval", type(f).__name__, do, python=python)
     return f
