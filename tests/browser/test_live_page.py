@@ -332,7 +332,7 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
             frames = page.evaluate("document.body.dataset.frames")
             page.wait_for_timeout(500)
             assert page.evaluate("document.body.dataset.frames") == frames, "paused, and it goes on drawing"
-            assert text(page, "pause") == "resume"
+            assert text(page, "pause") == "go on"
             end = page.evaluate("view.to")
             page.keyboard.press("Home")  # scrolling back while it is paused
             until(page, "view.from === 0 && shown.rows.t[shown.rows.first] < 0.1")
@@ -434,7 +434,7 @@ def test_losses_a_vanished_journal_and_a_viewer_that_is_gone_are_said_in_the_pag
             until(page, "Number(document.getElementById('lost').textContent) > 100")
             assert page.locator("#lost").evaluate("field => field.classList.contains('wrong')")
             viewer.kill()
-            says(page, "trouble", "the viewer does not respond; a recording continues without it", 20.0)
+            says(page, "trouble", "the viewer does not answer; a recording goes on without it", 20.0)
             says(page, "state", "no connection")
         with command("watch", part.name, cwd=tmp_path) as (_, url), opened(browser, url) as page:
             until(page, "Number(document.body.dataset.frames) > 5")

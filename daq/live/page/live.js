@@ -4,7 +4,7 @@
 const FRAME_MS = 40, HALF_MS = 50; // between messages 100 ms pass: the second half of the samples is drawn so long after the first
 const FRICTION_EVERY = 20; // frames
 const EARLIER = 5; // break-aways under the last one
-const PAUSE_WORDS = { false: "pause", true: "resume" };
+const PAUSE_WORDS = { false: "pause", true: "go on" };
 let waiting = null; // a message whose second half is not among the samples yet
 let dirty = false, scheduled = false, frames = 0, drawn = 0;
 
@@ -80,7 +80,7 @@ function showState() {
   if (state.textContent !== words) state.textContent = words;
   let trouble = said.words || notGiven || (open && latest && latest.trouble) || "";
   if (!ended && (gone || (!open && lostFor() > 5))) {
-    trouble = `the viewer does not respond; a recording continues without it.  To reconnect: daq watch ${facts ? facts.file : "RUN.h5"}`;
+    trouble = `the viewer does not answer; a recording goes on without it: daq watch ${facts ? facts.file : "RUN.h5"} opens another view`;
   }
   const line = element("trouble");
   line.hidden = !trouble;
@@ -119,7 +119,7 @@ function showFacts() {
 }
 
 const ROWS = [["stick_s", "stick", "s"], ["slip_s", "slip", "s"], ["drop", "drop", ""], ["break_away", "break-away", ""]];
-const SOURCES = { encoder: "from its encoder", sticks: "mean of the last sticks", motion: "most frequent velocity", calibration: "from the calibration" };
+const SOURCES = { encoder: "by its encoder", sticks: "mean of the last sticks", motion: "the velocity that occurs most often", calibration: "of the calibration" };
 
 function statisticsRow(name) {
   const row = document.createElement("tr"), head = document.createElement("th");
@@ -153,7 +153,7 @@ function showPanel() {
     setText(quantity, title);
     setText(inUnit, `(${unit || scale.unit})`);
   }
-  element("break_away").cells[0].title = balance.level_known ? "extension of the spring" : "position: x0 is unknown";
+  element("break_away").cells[0].title = balance.level_known ? "stretch of the spring" : "position: x0 is not known";
 }
 
 function drawUnit() {
@@ -298,9 +298,9 @@ async function stop() {
   button.disabled = true;
   try {
     await post("stop", "stop");
-    say("stopping the recording");
-    setTimeout(() => { if (!ended) { button.disabled = false; say("the recording has not stopped: press Ctrl-C in its terminal"); } }, 6000);
-  } catch (error) { button.disabled = false; say(`the recording continues: ${error.message}`); }
+    say("the recording is asked to end");
+    setTimeout(() => { if (!ended) { button.disabled = false; say("the recording has not ended: press Ctrl-C in its terminal"); } }, 6000);
+  } catch (error) { button.disabled = false; say(`the recording goes on: ${error.message}`); }
 }
 
 function save() {

@@ -84,7 +84,7 @@ async function ask(from, to) {
     past = await fetched(Math.max(firstTime(), from - margin), Math.min(lastTime(), to + margin));
     notGiven = "";
   } catch {
-    notGiven = ended ? `the recording has ended: daq watch ${facts.file} shows all of it` : "older samples are not available: the viewer does not respond";
+    notGiven = ended ? `the recording has ended: daq watch ${facts.file} shows all of it` : "older samples cannot be had: the viewer does not answer";
   }
   asking = null;
   redraw();
