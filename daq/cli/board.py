@@ -50,7 +50,7 @@ def check(
 ) -> Answer:
     """Test a board: rate, losses, clock and drift while the mass is at rest, then the direction by hand.
 
-    Exit code 4 when a check fails.  The simulated rig is at rest until its belt starts: 0.4 s, then 2 s of motion.
+    The exit code is 4 if a check fails.  The simulated rig is at rest until its belt starts: 0.4 s, then 2 s of motion.
 
     Example: daq check --port /dev/ttyACM0
     """
@@ -123,8 +123,8 @@ def calibrate(
 
     Start with the mass at the mark at which every recording will start.  The belt must be at rest.  Values known from
     --rig or from the board are kept unless they are measured again.  Without a port, the simulated rig is used: nearly
-    lifted off its belt, it gets an initial velocity and rings down.  It takes no --distance, because its board sends
-    the metres per count.
+    lifted off its belt, it gets an initial velocity and rings down.  --distance does not apply to it, because its
+    board sends the metres per count.
 
     Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
 

@@ -34,7 +34,7 @@ Mark = Annotated[
         converter=_parse_markers,
         n_tokens=2,
         consume_multiple=False,
-        help="A marker: the time since the first sample, and words; repeatable.",
+        help="A marker: the time since the first sample, and a text; repeatable.",
     ),
 ]
 
