@@ -54,9 +54,9 @@ class RecordingQuality:
     unit : str
         "m", or "count" for a rig that was not calibrated.
     port_lost : int
-        How often the port was lost: what was missed then is no lost sample, and a warning gives how long it was.
+        How often the port was lost.  The time without it does not count as lost samples; a warning gives its length.
     asked_s : float or None
-        Duration that was asked for; None where none was.
+        Requested duration; None if there was none.
     ended : str
         "complete", "stopped" (Ctrl-C), "port lost", "board stopped", or the name of the signal that ended it; empty for
         a recorder that was killed.

@@ -37,7 +37,7 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
     Raises
     ------
     InputError
-        When the file is missing, cut short or holds something else; for a table, when a column, a unit or a number
+        When the file is missing, cut short or contains something else; for a table, when a column, a unit or a number
         cannot be read: the message names line and column, and what to give.
 
     Warns

@@ -166,7 +166,7 @@ def continue_(
         ``fit-friction --save-scene`` writes.  A key that no longer has its fitted value is not drawn.  In Python
         `fitting.rank(...).save_scene(path)` writes it.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------

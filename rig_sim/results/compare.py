@@ -76,7 +76,7 @@ def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) 
     until : float or str
         End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------

@@ -200,11 +200,11 @@ def lock(
         Largest change of the drive's amplitude, as a fraction of it, from 0 to 1.
     method : str
         'ogy' (Ott, Grebogi and Yorke: a change at each landing), or 'search' (the thesis's: raise the amplitude until
-        the section repeats, then take it back).
+        the section repeats, then undo it).
     events : int
         Landings after which the control gives up.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------

@@ -330,7 +330,7 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     cells : int
         Cells that the interval is divided into.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------
@@ -375,7 +375,7 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     events : int
         Events to take the mean over: from one global stick to the next, landings, or steps.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------
@@ -384,7 +384,7 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     Raises
     ------
     InputError
-        One mass without a drive, a start that is no global stick, or a number of events out of range.
+        One mass without a drive, a start that is not a global stick, or a number of events out of range.
 
     Examples
     --------

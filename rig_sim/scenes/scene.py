@@ -90,7 +90,7 @@ def scene(source: "str | Path | Scene", **changes: object) -> Scene:
     Raises
     ------
     InputError
-        No such scene, a file that is no TOML, an unknown section or key (with its nearest neighbour), a value that is
+        No such scene, a file that is not TOML, an unknown section or key (with its nearest neighbour), a value that is
         no finite number or out of its range (of any number: 0, or from 1e-100 to 1e100 in size): each names the
         file and the key.
 
