@@ -105,7 +105,7 @@ def compute_datum(ring: RingDown, pitch: Measured) -> Measured:
 
 def _connected_counts(run: Recording) -> NDArray[np.int64]:
     if run.count is None:
-        raise DataError("holds no counts", str(run.source), "record from an encoder board")
+        raise DataError("has no counts", str(run.source), "record from an encoder board")
     if run.segment[-1] > 0:
         raise DataError(
             "the port was lost in between; counts before and after it are not comparable", str(run.source), "try again"

@@ -231,7 +231,7 @@ def _find_instants(path: Path, header: dict[str, Any], first_ns: int, span_s: fl
 
 def _no_samples(recorded: journal.Journal) -> DataError:
     size = sum(len(record.data) for record in recorded.records.of_kind(journal.RECEIVED))
-    what = f"holds no samples: none could be read from the {size} bytes received" if size else "holds no samples"
+    what = f"has no samples: none could be read from the {size} bytes received" if size else "has no samples"
     return DataError(what, str(recorded.path), "check the board, --baud and --protocol; delete it and record again")
 
 

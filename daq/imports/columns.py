@@ -123,8 +123,8 @@ def check_clock(cells: Table, column: int, time: int | None) -> int | None:
         return time if clock is None else clock
     is_clock = time in cells.clocks
     if is_clock and any(row[time].strip() != row[clock].strip() for row in cells.rows):
-        what = f"{cells.label(time)} holds the times of another channel, not of {cells.label(column)}"
-        raise InputError(what, str(cells.path), f"omit --time: {cells.label(clock)} holds its times")
+        what = f"{cells.label(time)} has the times of another channel, not of {cells.label(column)}"
+        raise InputError(what, str(cells.path), f"omit --time: {cells.label(clock)} has its times")
     return time
 
 
@@ -211,7 +211,7 @@ def check_length(cells: Table, column: int) -> None:
         others = [("force-unit", "weight"), ("mass", "1 kg")]
     elif (stated or plain).lower() in COUNT_UNITS:
         do = "give --metres-per-count '7.67 um', or --counts-per-rev=16384 and --circumference '125.66 mm'"
-        raise InputError(f"{cells.label(column)} holds counts", where, do)
+        raise InputError(f"{cells.label(column)} contains counts", where, do)
     else:
         return
     flags, keywords = _suggest_spring_flags(cells, column, *others)

@@ -163,7 +163,7 @@ def sample_capture(
         offset += levels.size
         progress(offset)
     if not offset:
-        raise InputError("holds no logic samples", where, "capture again")
+        raise InputError("has no logic samples", where, "capture again")
     rig = replace(rig, decoder=wiring.decoder, counter_bits=16)
     return _build_run(capture, wiring, rate_hz, rig, np.concatenate(rows)), before
 

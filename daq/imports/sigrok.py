@@ -107,7 +107,7 @@ def read(path: Path) -> Capture:
     if max(probes) >= 8 * unitsize:
         raise InputError(f"names probe {max(probes) + 1} in samples of {unitsize} bytes", where, "capture again")
     if size // unitsize == 0:
-        raise InputError("holds no logic samples", where, "capture again")
+        raise InputError("has no logic samples", where, "capture again")
     return Capture(path, probes, unitsize, _read_rate(device, where), size // unitsize, stamp, entries)
 
 

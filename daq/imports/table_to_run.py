@@ -100,7 +100,7 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         count_of = f"{len(cells.beside)} line{'s' if len(cells.beside) > 1 else ''}"
         warnings.append(f"{count_of} with cells outside the table only, skipped: {table.list_lines(cells.beside)}")
     if values.shape[1] < 2:
-        what = f"holds {('no', 'a single')[values.shape[1]]} sample"
+        what = f"has {('no', 'a single')[values.shape[1]]} sample"
         raise InputError(what, str(path), "give a track of at least two")
     time, t_unit, chosen = _read_times(values, cells, columns, options, warnings)
     values = values[:, chosen]
@@ -171,7 +171,7 @@ def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
         raise InputError(what, str(cells.path), "export both channels at the same times")
     has_timecodes = time is not None and _is_timecode(cells, time)
     if has_timecodes and not rate_known:
-        what = f"{cells.label(time or 0)} holds time codes, whose last part may be frames or hundredths"
+        what = f"{cells.label(time or 0)} contains time codes, whose last part may be frames or hundredths"
         do = "give --frame-rate, one line per frame, for example --frame-rate '400 fps'"
         raise InputError(what, str(cells.path), do)
     time = None if has_timecodes else time
@@ -384,7 +384,7 @@ def _choose_time_reader(cells: table.Table, column: int, *, clock: bool) -> tabl
         return column, _Clock().read, "a time of day, with a date such as 2026-03-27 if any"
     index, row = next(((index, row) for index, row in enumerate(cells.rows) if len(row) == cells.width), (0, None))
     if row is not None and cells.number(row[column]) is None and layout.read_clock(row[column]) is not None:
-        what = f"{cells.label(column)} holds times of day such as {row[column].strip()}"
+        what = f"{cells.label(column)} contains times of day such as {row[column].strip()}"
         where = cells.locate(int(cells.lines[index]), column)
         raise InputError(what, where, "give --clock", python="give clock=True")
     return column, cells.number, "a number"

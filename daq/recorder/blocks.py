@@ -294,12 +294,12 @@ class _Taking:
         time = numbers(times, "time", where, DO, single=True)
         column = numbers(values, "position", where, DO, single=True)
         if len(time) != len(column):
-            what = f"block {self._number} holds {len(time)} times and {len(column)} values"
+            what = f"block {self._number} has {len(time)} times and {len(column)} values"
             raise InputError(what, WHERE, DO)
         counted = column.dtype.kind in "iu"
         if self._counted is not None and len(time) and counted != self._counted:
             kinds = "counts (integers)", "positions (floats)"
-            what = f"block {self._number} holds {kinds[not counted]} after {kinds[not self._counted]}"
+            what = f"block {self._number} has {kinds[not counted]} after {kinds[not self._counted]}"
             raise InputError(what, WHERE, "give all blocks as one or the other: np.asarray(x, float)")
         seconds = time.astype(np.float64)
         self._check_values(seconds, column)

@@ -72,8 +72,8 @@ def record(
         Nominal sample rate, Hz or ``"1 kHz"``.  Where times step by n periods, n - 1 samples are counted as lost.  None
         for a port that sets its own rate (text lines).
     seconds : float or text with a unit, optional
-        Duration, s or ``"2 min"``; by default until the iterable ends, and 20 s from a port.  The recording also ends if
-        an iterable yields no sample for this time, or for 5 s if that is longer.
+        Duration, s or ``"2 min"``; by default until the iterable ends, and 20 s from a port.  The recording also ends
+        if an iterable yields no sample for this time, or for 5 s if that is longer.
     mass, stiffness, damping, belt_speed, x0, metres_per_count : quantity, optional
         What is known of the rig, as for `Recording.from_arrays`; overrides the board and ``rig``.
     rig : path, optional
@@ -189,7 +189,7 @@ def recover(
     InputError
         The journal is missing, not a journal, or still being written; or the run file exists.
     DataError
-        The journal holds no samples.
+        The journal has no samples.
 
     Examples
     --------

@@ -42,9 +42,9 @@ def from_arrays(
     check_type(title, str, "title", "from_arrays", "text")
     times, values = numbers(time, "time", "from_arrays", DO), numbers(position, "position", "from_arrays", DO)
     if len(times) != len(values):
-        raise InputError(f"time holds {len(times)} values and position {len(values)}", "from_arrays", "give one each")
+        raise InputError(f"time has {len(times)} values and position {len(values)}", "from_arrays", "give one each")
     if len(times) < 2:
-        raise InputError(f"time and position hold {len(times)} sample(s)", "from_arrays", "give two or more")
+        raise InputError(f"time and position have {len(times)} sample(s)", "from_arrays", "give two or more")
     seconds = times.astype(np.float64)
     seconds = seconds - seconds[0]
     quantities = read_all_stated(**stated)
@@ -76,7 +76,7 @@ def from_arrays(
     belt = numbers(belt_position, "belt_position", "from_arrays", DO).astype(np.float64)
     if len(belt) != len(seconds):
         raise InputError(
-            f"belt_position holds {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
+            f"belt_position has {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
         )
     _check_finite(belt, "belt_position")
     return add_belt(run, belt)

@@ -146,7 +146,7 @@ class _Visit:
         if external:
             raise self._refusal(f"/{external[0].decode(errors='replace')} is a link to another file")
         if len(names) > MOST_OBJECTS:
-            raise self._refusal(f"holds more than {MOST_OBJECTS} objects")
+            raise self._refusal(f"has more than {MOST_OBJECTS} objects")
 
     def _read(self, dataset: h5py.h5d.DatasetID, place: str) -> None:
         creation, kind = dataset.get_create_plist(), dataset.dtype

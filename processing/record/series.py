@@ -152,7 +152,7 @@ def from_recording(
         raise InputError(f"times is {times!r}", "--times", f"known: {', '.join(TIMES)}")
     recorded, positions = recording.time, recording.position
     if recorded.size < LEAST:
-        raise InputError(f"holds {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
+        raise InputError(f"has {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
     time = recorded if times == "recorded" else nominal_times(recording, anchor) if grid is None else grid
     check_numbers(time, positions, where)

@@ -108,7 +108,7 @@ def _check_curve(friction: Friction, where: str) -> None:
         raise InputError(f"friction.curve: {problem}", where, do)
     for number in (number for point in friction.curve for number in point):
         if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
-            raise InputError(f"friction.curve holds {number:g}", where, "choose other units")
+            raise InputError(f"friction.curve contains {number:g}", where, "choose other units")
     if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
         raise InputError("friction.d is missing, which a ramp needs", where, "give d, or remove friction.contact")
 

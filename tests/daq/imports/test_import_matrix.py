@@ -129,7 +129,7 @@ def test_a_text_of_kinovea_takes_its_names_from_its_comment(tmp_path, decimal):
     np.testing.assert_allclose(found.position, X, atol=1e-5)
     np.testing.assert_allclose(found.time, TIME, atol=1e-6)
     old = programs.kinovea(tmp_path / "old.txt", 1e3 * X, X, RATE, decimal=decimal)
-    with pytest.raises(InputError, match=r"holds time codes, .* frames or hundredths; .*frame_rate"):
+    with pytest.raises(InputError, match=r"contains time codes, .* frames or hundredths; .*frame_rate"):
         daq.load(old, x_unit="mm")
     found = daq.load(old, x_unit="mm", frame_rate="250 fps")
     np.testing.assert_allclose(found.time, TIME, atol=1e-9)
@@ -257,7 +257,7 @@ def test_segments_whose_times_nobody_knows_are_measurements_of_their_own(tmp_pat
     path = programs.lvm(tmp_path / "t.lvm", columns(), multi=True, segments=2, restart=True)
     path.write_bytes(path.read_bytes().replace(b"Date\t", b"Day\t"))
     with pytest.raises(
-        InputError, match=r"holds 2 measurements, which begin at line 24, line \d+; choose one with segment 1"
+        InputError, match=r"has 2 measurements, which begin at line 24, line \d+; choose one with segment 1"
     ):
         daq.load(path)
     second = daq.load(path, segment=2)

@@ -238,10 +238,10 @@ def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tm
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ((TIME[700:800], X[700:799]), "block 8 holds 100 times and 99 values"),
+        ((TIME[700:800], X[700:799]), "block 8 has 100 times and 99 values"),
         ((TIME[650:750], X[700:800]), "time does not increase at sample 0 in block 8: 0.65 s after 0.699 s"),
         ((TIME[700:800], np.where(TIME[700:800] == 0.75, np.inf, X[700:800])), "value of sample 50 in block 8 is inf"),
-        ((TIME[700:800], np.arange(100)), "block 8 holds counts (integers) after positions (floats)"),
+        ((TIME[700:800], np.arange(100)), "block 8 has counts (integers) after positions (floats)"),
         (TIME[700:800], "block 8 is a ndarray of shape (100,), not two arrays"),
         ((TIME[700:800], ["a"] * 100), "daq.record, block 8: position holds <U1 values, not numbers"),
         (None, "block 8 is a NoneType, not two arrays"),
