@@ -34,7 +34,7 @@ class BoardFirmware:
 UNO = BoardFirmware(
     "uno", "stickslip-uno.hex", "atmega328p", "arduino", 115_200, "A to D2, B to D3", "up to D5, down to D4"
 )
-NANO = replace(UNO, name="nano", bootloader_baud=57_600, other="a Nano with the new bootloader wants -b 115200")
+NANO = replace(UNO, name="nano", bootloader_baud=57_600, other="a Nano with the new bootloader needs -b 115200")
 MEGA = BoardFirmware(
     "mega", "stickslip-mega.hex", "atmega2560", "wiring", 115_200, "A to D2, B to D3", "up to D47, down to D38"
 )
@@ -90,7 +90,7 @@ TEENSY = Sketch(
     "Teensy 3 or 4",
     "interrupts",
     "A to pin 2, B to pin 3, 3.3 V",
-    "Teensyduino, which brings the library Encoder",
+    "Teensyduino, which includes the library Encoder",
     "teensy:avr:teensy41",
     None,
     "compiled for a computer with a counter in place of the library Encoder, and its lines read by daq; not on a board",

@@ -49,7 +49,7 @@ def smooth(
     times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
     repair_counts: Annotated[
         str,
-        Parameter(help="Steps of the position (lost counts, a datum that moved): off (no search), flag or fix them."),
+        Parameter(help="Steps of the position (lost counts, a shifted zero): off (no search), flag or fix."),
     ] = "flag",
     belt_speed: Annotated[
         str, Parameter(help="auto (from belt counts, else from plateaus), or a speed with its sign.")
@@ -60,7 +60,7 @@ def smooth(
 ) -> Answer:
     """Estimate the motion, sticks and slips, and write them into the run file; the raw data do not change.
 
-    With --from or --to a part of the run is smoothed, and the commands that read the result see that part alone.
+    With --from or --to only a part of the run is smoothed, and later commands use only that part.
 
     Example: process smooth run.h5 --window 20ms
 
@@ -93,9 +93,9 @@ def smooth(
 def compare(file: Run, /, *, json: Json = False) -> Answer:
     """Run every method on the record: error against run time.
 
-    A setting names window and order of sg (55,6: 55 samples, degree 6), and whose times are used: nominal, an even
-    grid, or recorded, the board's.  Stated is the standard error of the velocity that a method gives itself.  The true
-    errors are known only for a simulated run that holds its exact motion (daq record --set output.truth=true).
+    A setting gives window and order of sg (55,6: 55 samples, degree 6), and the times used: recorded, or nominal (an
+    even grid).  The stated error is the standard error that the method estimates.  The true errors are known only for a
+    simulated run that contains its exact motion (daq record --set output.truth=true).
 
     Example: process compare run.h5
     """
@@ -146,7 +146,7 @@ def inspect(
     }
     lines = summary.format_run_sentences(motion, file) + slip_statistics.sentences(motion.unit)
     if stored is None:
-        lines.append("not smoothed yet, so smoothed in memory; keep it with: process smooth")
+        lines.append("not smoothed yet: smoothed in memory; to store the result: process smooth")
     return Answer(data, [*lines, f"picture: {target}"])
 
 

@@ -98,11 +98,11 @@ def smooth(
         if isinstance(position, str):
             method, position = position, None
         if position is not None:
-            problem = "a position beside a run, which has its own"
+            problem = "a position in addition to a run"
             raise InputError(problem, where, "give the run alone: processing.smooth(run, method=...)")
         run = run_or_time if isinstance(run_or_time, daq.Recording) else daq.load(run_or_time)
     elif position is None:
-        problem = f"a {type(run_or_time).__name__} and no position"
+        problem = f"a {type(run_or_time).__name__} without a position"
         advice = "give a run, a file or two arrays: processing.smooth(time, position)"
         raise InputError(problem, where, advice)
     else:

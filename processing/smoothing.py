@@ -188,9 +188,9 @@ def _parse_setting(window: int | str, order: int | None, belt_speed: float | str
     speed = parse_belt_speed(belt_speed)
     if speed is not None and unit != "m":
         raise InputError(
-            f"{speed:g} m/s, and the positions are in counts: this rig has no metres per count",
+            f"{speed:g} m/s, but the positions are in counts (no metres per count)",
             "--belt-speed",
-            "leave it at auto, or add metres_per_count to a rig.toml, then: daq replay RUN.h5 --rig rig.toml -o NEW.h5",
+            "use auto, or add metres_per_count to a rig.toml, then: daq replay RUN.h5 --rig rig.toml -o NEW.h5",
         )
     return replace(parse_window(window, order, data), belt_speed=speed)
 

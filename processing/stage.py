@@ -33,7 +33,7 @@ BREAK_AWAYS = {  # column: attribute of a `SlipEvent`, unit, what it is
     "stick_time": ("stick_s", "s", "duration of the stick"),
     "slip_time": ("slip_s", "s", "duration of the slip"),
     "drop": ("drop_m", LENGTH, "how far the mass slips back"),
-    "break_away": ("break_away_m", LENGTH, "stretch of the spring at the break-away"),
+    "break_away": ("break_away_m", LENGTH, "extension of the spring at break-away"),
 }
 CORNERS = {"land": 1, "leave": 2, "start": 3, "stop": 4, "overtake": 5, "kick": 6}  # 5 is of earlier versions
 CORNERS_SAID = ", ".join(f"{code} {what}" for what, code in CORNERS.items())
@@ -120,7 +120,7 @@ ROWS: tree.Tree = (
     Field("smooth/corners/time", "f8[q]", "s", "of the corner", "motion.corners.time"),
     Field("smooth/corners/time_errors", "f4[q]", "s", "", "motion.corners.sd"),
     Field("smooth/corners/what", "u1[q]", "", CORNERS_SAID, "motion.corners.what", codes=CORNERS),
-    tree.table("smooth/faults", "first", "last", "samples left out", optional=True),
+    tree.table("smooth/faults", "first", "last", "samples omitted", optional=True),
     Field("smooth/faults/first", "u4[f]", "", "first sample", "motion.faults.first"),
     Field("smooth/faults/last", "u4[f]", "", "last sample", "motion.faults.last"),
     Field(
@@ -130,7 +130,7 @@ ROWS: tree.Tree = (
     Field("smooth/findings/code", "text[d]", "", "name of the contradiction or fault", "motion.findings.code"),
     Field("smooth/findings/text", "text[d]", "", "the same in words", "motion.findings.text"),
     Field("smooth/findings/value", "f8[d]", "", "what the record shows", "motion.findings.value"),
-    Field("smooth/findings/expected", "f8[d]", "", "what was stated", "motion.findings.expected"),
+    Field("smooth/findings/expected", "f8[d]", "", "the stated value", "motion.findings.expected"),
     Field("smooth/findings/sigmas", "f8[d]", "", "standard deviations between both", "motion.findings.sigmas"),
 )
 PORTRAIT: tree.Tree = (
@@ -161,7 +161,7 @@ STATISTICS: tree.Tree = (
             f"smooth/statistics/{name}_{key}",
             "f8",
             f"{unit}/s" if key == "trend" else unit,
-            f"{text}: mean; `_sd`, `_min`, `_max`, `_trend` likewise" if key == "mean" else "",
+            f"{text}: mean; `_sd`, `_min`, `_max` and `_trend`" if key == "mean" else "",
             value=_make_summary_getter(of, kind),
             optional=True,
         )
@@ -248,7 +248,7 @@ def load(path: Path) -> Kinematics | None:
         recording = _select_events(store.load(path, part), part)
         if stored["digest"] != recording.digest:
             raise InputError(
-                "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
+                "the smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
             )
         nexus.check_length(stored["motion.time"].size, recording.time.size, "smooth/kinematics/time", path)
         values = tree.select_part(stored, "motion")

@@ -31,7 +31,7 @@ class SlipEvent:
     # how far the mass slips back, m (or counts): range of the position from the middle of the stick before to that of
     # the stick after
     drop_m: float
-    break_away_m: float  # stretch of the spring at the break-away, m (or counts), positive in the belt's direction
+    break_away_m: float  # extension of the spring at break-away, m (or counts), positive in the belt's direction
 
 
 @dataclass(frozen=True, eq=False)

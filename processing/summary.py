@@ -73,18 +73,18 @@ def list_warnings(motion: SmoothingSummary) -> list[str]:
     if motion.lost_counts:
         messages.append(
             f"counts went missing {_count(motion.lost_counts, 'time')} "
-            f"({'put back' if motion.repaired else 'marked, not repaired'}): "
-            "look for a bouncing encoder wheel or a slipping coupling"
+            f"({'restored' if motion.repaired else 'marked, not corrected'}): "
+            "check for a bouncing encoder wheel or a slipping coupling"
         )
     if motion.kicks:
         messages.append(
-            f"the velocity stepped {_count(len(motion.kicks), 'time')}, as at a belt joint "
+            f"the velocity jumps {_count(len(motion.kicks), 'time')}, as at a belt joint "
             f"(first by {motion.kicks[0].step:.2g} {shown_speed(motion.unit)}); marked"
         )
     if motion.phases and not motion.sticks and math.isfinite(motion.plateau_speed):
         messages.append(
             f"no stick at the belt speed of {motion.belt_speed:g}, but the mass sticks at {motion.plateau_speed:.5g}: "
-            "check --belt-speed and its sign, or leave it at auto"
+            "check --belt-speed and its sign, or use auto"
         )
     if not motion.phases:
         messages.append("the mass never moves in this record")

@@ -145,7 +145,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
 def parse_url(url: str) -> tuple[str, list[str], bool]:
     """Return the scene, its changes and the ``realtime`` flag of a ``rig://`` URL."""
     if not url.lower().startswith(_SCHEME):
-        raise InputError("is no rig:// URL", url, "write rig://SCENE?set=section.key=value&realtime=1")
+        raise InputError("is not a rig:// URL", url, "write rig://SCENE?set=section.key=value&realtime=1")
     name, _, query = url[len(_SCHEME) :].partition("?")
     name = unquote(name).rstrip("/")
     if not name:

@@ -106,7 +106,7 @@ REFUSED = [
     ("rig-sim cycle bad.toml", "bad.toml", "mass.m"),
     ("rig-sim cycle basic", "basic", "base"),
     ("rig-sim cycle none.toml", "none.toml", "no such file", "base"),
-    ("rig-sim cycle run.h5", "run.h5", "no text file", "--save-scene"),
+    ("rig-sim cycle run.h5", "run.h5", "not a text file", "--save-scene"),
     ("rig-sim cycles base", "cycles", "Did you mean", "cycle"),
     ("rig-sim run.h5", "did you mean 'process smooth run.h5'"),
     ("rig-sim run base --until 10 --rate 1e12 -o foo.csv", "1e+13 samples", "--rate"),

@@ -81,7 +81,7 @@ def check_board(summary: RecordingQuality, run: Recording, parked_s: float) -> l
 
 def _check_clock(summary: RecordingQuality) -> BoardCheck:
     if not summary.clock_drift:
-        return BoardCheck("clock", None, "cannot be compared with this machine's in so short a time, or not at all")
+        return BoardCheck("clock", None, "could not be compared with this computer's in this time")
     return BoardCheck("clock", True, summary.clock_drift)
 
 
@@ -89,7 +89,7 @@ def _check_parked(parked: CountedSpan, run: Recording) -> BoardCheck:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
     result = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
     if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
-        return BoardCheck("parked drift", False, result + ": the mass moved", "leave it alone while it is parked")
+        return BoardCheck("parked drift", False, result + ": the mass moved", "do not touch it while it is parked")
     do = (
         "it vibrates about an edge, which a J-K decoder counts; use x4"
         if "jk" in run.rig.decoder
@@ -110,8 +110,8 @@ def _check_direction(moved: CountedSpan, run: Recording) -> BoardCheck:
             "direction", False, result, "nothing was counted: check the encoder's supply, and its wires A and B"
         )
     if abs(moved.counts) * edges < HAND_EDGES:
-        return BoardCheck("direction", None, result + ": it came back", "move it one way and leave it there")
-    do = "swap the wires A and B, or give metres_per_count the other sign"
+        return BoardCheck("direction", None, result + ": it came back", "move it in one direction and leave it there")
+    do = "swap the wires A and B, or change the sign of metres_per_count"
     return BoardCheck("direction", moved.counts * sign > 0, result, do)
 
 

@@ -38,11 +38,11 @@ def measure_pitch(run: Recording, distance: Measured) -> Measured:
     end = count[-n:]
     if np.ptp(end) > STILL_COUNTS:
         what = f"the mass moved by {np.ptp(end)} counts within the last {STILL_S:g} s"
-        raise DataError(what, "distance", "let it stand there, and give it more time (--move)")
+        raise DataError(what, "distance", "keep it at rest there, and allow more time (--move)")
     start = count[:n] if stands_at_first(run) else count[:1]
     moved = float(np.mean(end) - np.mean(start))
     if abs(moved) < 10:
-        what = f"the mass moved by {moved:.3g} counts only"
+        what = f"the mass moved by {moved:.3g} counts, which is too little"
         raise DataError(what, "distance", "move it farther, and see 'daq check' for the encoder")
     value = distance.value / moved
     return Measured(value, abs(value) * math.hypot(distance.sd / distance.value, math.sqrt(2) * CELL / moved))
@@ -105,9 +105,9 @@ def compute_datum(ring: RingDown, pitch: Measured) -> Measured:
 
 def _connected_counts(run: Recording) -> NDArray[np.int64]:
     if run.count is None:
-        raise DataError("holds no counts", str(run.source), "record from an encoder board")
+        raise DataError("has no counts", str(run.source), "record from an encoder board")
     if run.segment[-1] > 0:
         raise DataError(
-            "the port was lost in between, and counts are not connected across a gap", str(run.source), "try again"
+            "the port was lost in between; counts before and after it are not comparable", str(run.source), "try again"
         )
     return run.count

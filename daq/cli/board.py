@@ -50,7 +50,7 @@ def check(
 ) -> Answer:
     """Test a board: rate, losses, clock and drift while the mass is at rest, then the direction by hand.
 
-    Exit code 4 when a check fails.  The simulated rig is at rest until its belt starts: 0.4 s, then 2 s of motion.
+    The exit code is 4 if a check fails.  The simulated rig is at rest until its belt starts: 0.4 s, then 2 s of motion.
 
     Example: daq check --port /dev/ttyACM0
     """
@@ -123,8 +123,8 @@ def calibrate(
 
     Start with the mass at the mark at which every recording will start.  The belt must be at rest.  Values known from
     --rig or from the board are kept unless they are measured again.  Without a port, the simulated rig is used: nearly
-    lifted off its belt, it gets an initial velocity and rings down.  It takes no --distance, because its board sends
-    the metres per count.
+    lifted off its belt, it gets an initial velocity and rings down.  --distance does not apply to it, because its
+    board sends the metres per count.
 
     Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
 
@@ -135,7 +135,7 @@ def calibrate(
     from stickslip.output import atomic, suffix
 
     if not ring_down and distance is None:
-        raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
+        raise InputError("nothing to measure", "command line", "give --distance, or omit --no-ring-down")
     settings = resolve(board)
     request = RecordRequest(**settings)
     suffix.check(output, suffix.TOML)
@@ -145,7 +145,7 @@ def calibrate(
     if "port" not in settings:
         if distance is not None:
             what = "the simulated rig cannot be moved by hand, so --distance does not apply"
-            raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
+            raise InputError(what, "--distance", "give the --port of a board, or omit --distance")
         request = replace(request, port=rig_port(None, list(STRUCK), realtime=False))
     for flag, seconds, needed in (("--move", move, distance is not None), ("--duration", duration, ring_down)):
         if needed and not 0 < seconds < float("inf"):
@@ -179,9 +179,9 @@ def calibrate(
         raise ValueError("neither measurement was made")
     rig = measure.calibrate_rig(recording.rig, pitch, ring, mass)
     if ring is not None and rig.mass is None:
-        warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
+        warnings.append("without --mass only omega0 and the damping ratio are known, not stiffness and damping")
     if rig.metres_per_count is None:
-        warnings.append("without --distance there are no metres: lengths are counts")
+        warnings.append("without --distance lengths are in counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
     left_out = ["belt_speed"] if measure.belt_stands(recording.rig) else []
     text = (

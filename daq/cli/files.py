@@ -36,11 +36,11 @@ def import_table(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Make a run file from a table of times and positions: of a camera, a sensor or another program.
+    """Make a run file from a table of times and positions, written by a camera, a sensor or another program.
 
-    Delimiter, decimal sign, preamble, header and units in it are detected; numbers without a unit are SI, and where
-    that cannot be, the unit is asked for.  With mass and stiffness the frame rate is checked against the duration of
-    the slips.
+    Delimiter, decimal sign, preamble, header and units are detected.  Numbers without a unit are taken as SI; if that
+    is implausible, you are asked for the unit.  With mass and stiffness the frame rate is checked against the duration
+    of the slips.
 
     A tribometer's record of the force of a pulling spring is read by --spring-force: the position is force /
     stiffness, as seen from the pulling end, which moves at --belt.  A belt that was measured is --belt-column.
@@ -88,7 +88,7 @@ def replay(
 ) -> Answer:
     """Rebuild a run file from a journal, a run file, or a sigrok .sr capture.
 
-    What --mass, --metres-per-count and the others state replaces what --rig or the record says.
+    Values given as flags (--mass, --metres-per-count ...) override those of --rig and of the record.
 
     Example: daq replay capture.sr --channels A=XA,B=XB -o run.h5
 
@@ -110,7 +110,7 @@ def replay(
     for name, value in vars(options).items():
         if value is not None:
             flag = "--dir" if name == "direction" else f"--{name.replace('_', '-')}"
-            raise InputError(f"{flag} is for .sr captures; this is a {kind}", str(source), "leave it out")
+            raise InputError(f"{flag} is for .sr captures; this is a {kind}", str(source), "omit it")
     if kind == "journal":
         from daq.finalise import run as finalise
         from daq.runfile import journal
@@ -192,7 +192,7 @@ def export(
     for _, target in targets:
         atomic.refuse_existing(target, force, file)
     if len({target.resolve() for _, target in targets}) < len(targets):
-        raise InputError("is the name of two outputs", str(targets[-1][1]), "give each output a name of its own")
+        raise InputError("is the name of two outputs", str(targets[-1][1]), "give each output its own name")
     rows = store.load(file).to_dataframe()
     for form, target in targets:
         with application.progress(f"writing {form}", len(rows), "rows") as show:
@@ -220,7 +220,7 @@ def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: "R
     store.write(target, run, force=force)
     warnings = sentences.warn_of_counts(totals)
     if run.rig.metres_per_count is None:
-        warnings.append("metres per count are not known: positions are counts; give --metres-per-count or --rig")
+        warnings.append("metres per count unknown: positions are in counts; give --metres-per-count or --rig")
     data = (
         replaying.count_faults(run) | {"clock_ppm": None} | sentences.describe_run(run, target, warnings) | vars(totals)
     )

@@ -27,7 +27,7 @@ def firmware(
 ) -> Answer:
     """Write the firmware of a board, or a sketch for it, and print how to wire and flash it.
 
-    Of Uno, Nano and Mega the built .hex and its source; of the others a sketch that prints text lines.
+    For Uno, Nano and Mega these are the .hex and its source, for the others a sketch that prints text lines.
 
     Example: daq firmware --board uno -o firmware
 
@@ -58,7 +58,7 @@ def firmware(
         "bauds": firmware_files.BAUDS,
     }
     lines = [
-        f"firmware {firmware_files.VERSION} for {kind.name} ({kind.mcu}) -> {hexfile}, source beside it",
+        f"firmware {firmware_files.VERSION} for {kind.name} ({kind.mcu}) -> {hexfile}, source in the same folder",
         f"wire: {kind.encoder_pins}, GND to GND; or, from a J-K box, {kind.counter_pins}",
         f"flash: {flash}",
     ]

@@ -54,8 +54,8 @@ def watch(
     if run.suffix == ".part":
         _wait_for(run, wait)
     elif not run.exists():
-        do = f"check the path; a recording that runs is {running.name}"
-        raise InputError("no such file, and no recording of it runs", str(run), do)
+        do = f"check the path; the journal of a running recording is {running.name}"
+        raise InputError("no such file, and it is not being recorded", str(run), do)
     with contextlib.suppress(AttributeError, OSError):  # no such call on Windows
         os.nice(NICE)
     from daq.live.server import serve
@@ -122,4 +122,4 @@ def _announce(process: subprocess.Popen[str], no_browser: bool) -> None:
     # Read to the end: a full pipe would stop the viewer.
     why = [text.strip() for text in process.stderr if text.strip()]
     if not served and process.wait() > 0:
-        application.note(f"the live view could not be started: {why[-1] if why else 'it gave no reason'}")
+        application.note(f"the live view could not be started: {why[-1] if why else 'the reason is unknown'}")

@@ -34,7 +34,7 @@ Mark = Annotated[
         converter=_parse_markers,
         n_tokens=2,
         consume_multiple=False,
-        help="A marker: the time since the first sample, and words; repeatable.",
+        help="A marker: the time since the first sample, and a text; repeatable.",
     ),
 ]
 
@@ -85,7 +85,7 @@ def _list_notes(run: "Recording") -> dict[str, Any]:
 
 
 def list_runs(
-    folders: Annotated[tuple[Path, ...], Parameter(name="FOLDER", help="Folders of runs; default this one.")] = (),
+    folders: Annotated[tuple[Path, ...], Parameter(name="FOLDER", help="Folders of runs; default '.'.")] = (),
     /,
     *,
     json: Json = False,

@@ -64,15 +64,15 @@ def record(
 ) -> Answer:
     """Record a run.  Ctrl-C stops and keeps the data; a second Ctrl-C leaves the journal for 'daq recover'.
 
-    Exit code 4, with the file kept, when the run holds less than 90 % of the duration and was not stopped by Ctrl-C, or
-    when more than 10 % of its samples are lost; 3 when the file had to be written to another folder.
+    The exit code is 4, with the file kept, if the run has less than 90 % of the duration and was not stopped by Ctrl-C,
+    or if more than 10 % of its samples are lost.  It is 3 if the file had to be written to another folder.
 
     Port, protocol, columns, baud, rate and decoder may also come from the environment (STICKSLIP_PORT ...), from the
     [board] of --rig, or from the user's config.toml, in this order.
 
-    What --mass, --metres-per-count and the others state replaces what --rig or the board says.
+    Values given as flags (--mass, --metres-per-count ...) override those of --rig and of the board.
 
-    In the name of the run file {n} becomes the next free number and {date} the date and time.
+    In the name of the run file {n} is replaced by the next free number, {date} by date and time.
 
     Example: daq record --rate 1000 --duration 20 -o run.h5
 
@@ -118,7 +118,7 @@ def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> st
 
 
 def recover(
-    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal that a recording left.")],
+    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal of the recording.")],
     /,
     *,
     output: Annotated[
@@ -128,7 +128,7 @@ def recover(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Build the run file of a recording that was killed, out of its journal.
+    """Build the run file of an interrupted recording from its journal.
 
     Example: daq recover run.h5.part
     """
@@ -151,9 +151,9 @@ def ports(*, json: Json = False) -> Answer:
     for item in infos:
         lines.append(f"{item.port:<{width}}  {item.description}")
         if item.do:
-            lines.append(f"{'':<{width}}  may not be opened: {item.do}")
+            lines.append(f"{'':<{width}}  no permission:  {item.do}")
     if len(infos) == 1:
-        lines.append("no serial port here: plug the board in and look again")
+        lines.append("no serial port found: connect the board and try again")
     data = [vars(item) for item in infos]
     return Answer(data, "\n".join(lines))
 
@@ -173,7 +173,7 @@ def _stop_on_signal() -> Iterator["StopRequest"]:
                 raise KeyboardInterrupt
             return  # a terminal that closes may send it twice
         with contextlib.suppress(OSError):
-            os.write(2, b"stopping, the data are kept; Ctrl-C again leaves at once\n")
+            os.write(2, b"Stopping and saving. Press Ctrl-C again to quit immediately.\n")
 
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     handled = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]

@@ -66,7 +66,7 @@ def format_written(file: Path | None) -> list[str]:
 
 def format_recording(done: str, quality: "RecordingQuality") -> str:
     lost = f"{quality.lost} samples lost" if quality.lost else "no sample lost"
-    lost += " while the port was there" if quality.port_lost else ""
+    lost += " while the port was open" if quality.port_lost else ""
     clock = quality.clock_drift
     lines = [
         f"{done} {quality.samples} samples in {quality.duration_s:.1f} s at {quality.rate_hz:g} Hz, {lost}"
@@ -85,7 +85,7 @@ def format_columns(imported: "Imported") -> str:
     line += f", belt from {imported.columns['belt']}" if "belt" in imported.columns else ""
     line += "" if imported.even else "; unevenly sampled"
     if imported.assumed:
-        line += f"\nno unit is stated for what is read in {' and in '.join(imported.assumed)}"
+        line += f"\nno units found; assuming {' and in '.join(imported.assumed)}"
     return line
 
 
@@ -95,7 +95,7 @@ def format_counts(totals: "Totals") -> str:
 
 def warn_of_counts(totals: "Totals") -> list[str]:
     if totals.illegal:
-        return [f"{totals.illegal} illegal transitions: A and B changed at once; the count is uncertain by as many"]
+        return [f"{totals.illegal} illegal transitions: A and B changed at once; the count is uncertain by this number"]
     return [] if totals.edges else ["no edges: check that these are the right probes"]
 
 
@@ -110,7 +110,7 @@ def comment_on_ring_down(ring: "RingDown | None") -> str:
 
 def comment_on_left_out(names: Sequence[str]) -> str:
     """Return the lines of a rig.toml about constants that a calibration leaves out."""
-    return "".join(f"# {name} left out: the belt did not move (0 m/s); give that of the runs\n" for name in names)
+    return "".join(f"# {name} omitted: the belt did not move (0 m/s); give the speed of the runs\n" for name in names)
 
 
 def format_calibration(

@@ -96,8 +96,8 @@ def _explain_start(reason: str, gap_s: float, leap_s: float) -> str:
         "invalid": f"{gap_ms:.0f} ms without a sample: the counters may have rolled over",
         "reopened": f"the port was lost for {gap_ms:.0f} ms: the position may restart",
         "restarted": f"the board restarted, {gap_ms:.0f} ms lost: the position restarts",
-        "jumped": f"sequence number and clock of the board do not follow, {gap_ms:.0f} ms after the sample before "
+        "jumped": f"sequence number and clock of the board jump, {gap_ms:.0f} ms after the previous sample "
         "(a reset?): the position may restart",
-        "clock": f"the board's clock leapt by {1e3 * leap_s:+.0f} ms while its sequence went on: the time here is that "
-        "of the sequence",
+        "clock": f"the board's clock jumped by {1e3 * leap_s:+.0f} ms while its sequence numbers continued: the "
+        "time follows the sequence numbers",
     }[reason]

@@ -22,7 +22,7 @@ LEAST_HELD = 0.9  # share of the requested samples: with fewer, or more than the
 # A drift of fewer standard errors than CLEAR is not significant.  Its bound is then reported, unless that is more than
 # TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
 CLEAR, TELLING_PPM = 2.0, 1000.0
-REASONS = {"clock": "the clock leapt"}  # texts for the reasons of a segment that are not their own text
+REASONS = {"clock": "the clock jumped"}  # texts for the reasons of a segment that are not their own text
 LONG_GAP_S = 0.5  # length from which a warning gives the time of a gap
 
 
@@ -54,9 +54,9 @@ class RecordingQuality:
     unit : str
         "m", or "count" for a rig that was not calibrated.
     port_lost : int
-        How often the port was lost: what was missed then is no lost sample, and a warning gives how long it was.
+        How often the port was lost.  The time without it does not count as lost samples; a warning gives its length.
     asked_s : float or None
-        Duration that was asked for; None where none was.
+        Requested duration; None if there was none.
     ended : str
         "complete", "stopped" (Ctrl-C), "port lost", "board stopped", or the name of the signal that ended it; empty for
         a recorder that was killed.
@@ -102,7 +102,7 @@ class RecordingQuality:
         if abs(drift) >= CLEAR * error:
             return f"the board's clock deviates by {drift:+.0f} ppm (+- {error:.0f})"
         most = abs(drift) + CLEAR * error
-        return f"the board's clock is right within {most:.0f} ppm" if most < TELLING_PPM else ""
+        return f"the board's clock agrees with this computer's to within {most:.0f} ppm" if most < TELLING_PPM else ""
 
     @property
     def short(self) -> bool:
@@ -145,7 +145,7 @@ class DataTotals:
     overruns: int = 0  # samples that the board took late
     reasons: list[str] = field(default_factory=list)  # what began each segment
     jumped_s: list[float] = field(default_factory=list)  # times at which sequence numbers jumped
-    leapt: list[tuple[float, float]] = field(default_factory=list)  # when the board's clock leapt, and by how much, s
+    leapt: list[tuple[float, float]] = field(default_factory=list)  # when the board's clock jumped, and by how much, s
     # when the board paused without a gap in its sequence, and for how long, s
     paused: list[tuple[float, float]] = field(default_factory=list)
     # segments with a new identification, and its number
@@ -242,10 +242,10 @@ def find_warnings(
     sentences = [*_find_outages(recorded.records), *_find_data_warnings(quality, totals, rig)]
     sentences += _explain_shortfall(quality, totals)
     if recorded.lost_tail:
-        sentences.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
+        sentences.append(f"the last {recorded.lost_tail} bytes of the journal are an incomplete record")
     if recorded.damaged:
         note = f"it is kept: {recorded.path.name}"
-        sentences.append(f"{recorded.damaged} bytes of the journal are in damaged records; {note}")
+        sentences.append(f"{recorded.damaged} bytes of the journal are damaged; {note}")
     return sentences
 
 
@@ -259,12 +259,12 @@ def _explain_shortfall(quality: RecordingQuality, totals: DataTotals) -> list[st
             journal.BOARD_STOPPED: "the board stopped",
             journal.SOURCE_FAILED: "the source failed",
             journal.SOURCE_ENDED: "the source ended",
-            journal.SOURCE_SILENT: "the source gave no more samples",
+            journal.SOURCE_SILENT: "the source gave no further samples",
         }
         samples_s = quality.samples / quality.rate_hz
-        cause = causes.get(quality.ended, f"ended by {quality.ended}")
+        cause = causes.get(quality.ended, f"stopped by {quality.ended}")
         sentences.append(
-            f"the run holds {samples_s:.3g} s of samples of the {quality.asked_s:.3g} s asked for: {cause}"
+            f"{samples_s:.3g} s of samples of the requested {quality.asked_s:.3g} s were recorded: {cause}"
         )
     if quality.sparse:
         sentences.append(f"{quality.lost / (quality.samples + quality.lost):.0%} of the samples are lost")
@@ -316,13 +316,13 @@ def _describe_outages(outages: Sequence[tuple[int, int, str]]) -> list[str]:
     if len(outages) == 1:
         return [f"the port was lost ({reason}) and reopened: {longest_ns / 1e6:.0f} ms are missing"]
     total_s = sum(outage_ns for outage_ns, _, _ in outages) / 1e9
-    longest = f"the longest time {longest_ns / 1e6:.0f} ms, {start_ns / 1e9:.3g} s after the start ({reason})"
+    longest = f"the longest outage {longest_ns / 1e6:.0f} ms, {start_ns / 1e9:.3g} s after the start ({reason})"
     return [f"the port was lost and reopened {len(outages)} times: {total_s:.3g} s are missing in all, {longest}"]
 
 
 def _list_first(texts: Sequence[str]) -> str:
     """Return the first five texts, and how many more there are."""
-    return ", ".join(texts[:5]) + (f" and {len(texts) - 5} times more" if len(texts) > 5 else "")
+    return ", ".join(texts[:5]) + (f" and {len(texts) - 5} more times" if len(texts) > 5 else "")
 
 
 def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig) -> list[str]:
@@ -334,19 +334,19 @@ def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig)
     pauses = _list_first([f"for {pause_s:.3g} s at {time_s:.3f} s" for time_s, pause_s in totals.paused])
     sentences = [
         (quality.lost, f"{quality.lost} samples were lost in {totals.gaps} places"),
-        (quality.crc_errors, f"{quality.crc_errors} damaged frames were thrown away"),
+        (quality.crc_errors, f"{quality.crc_errors} damaged frames were discarded"),
         (totals.unknown, f"{totals.unknown} frames were of an unknown kind or length"),
         (
             quality.illegal,
             f"{quality.illegal} illegal transitions: the encoder was too fast for its decoder; the count may be off by "
             f"{2 * quality.illegal}",
         ),
-        (quality.phase_errors, f"{quality.phase_errors} samples disagree with the levels sent beside them"),
-        (totals.overruns, f"the board missed its own pace at {totals.overruns} samples"),
-        (totals.repeated, f"{totals.repeated} samples came twice or late and were left out"),
+        (quality.phase_errors, f"{quality.phase_errors} samples contradict their logic levels"),
+        (totals.overruns, f"the board took {totals.overruns} samples late"),
+        (totals.repeated, f"{totals.repeated} samples were repeated or late and were omitted"),
         (
             quality.retimed,
-            f"{quality.retimed} samples had times off the course of their neighbours; these times were interpolated",
+            f"{quality.retimed} samples had times that did not fit their neighbours; these times were interpolated",
         ),
         (quality.dropped_bytes, f"{quality.dropped_bytes} bytes were dropped: this machine could not keep up"),
         (
@@ -360,12 +360,12 @@ def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig)
         ),
         (
             len(totals.leapt),
-            f"the board's clock leapt, {leaps}, against its sequence numbers and this "
-            "machine's clock; each time a new segment begins, timed by the sequence",
+            f"the board's clock jumped, {leaps}, against its sequence numbers and this "
+            "computer's clock; each time a new segment begins, timed by the sequence numbers",
         ),
         (
             len(totals.paused),
-            f"the board paused, {pauses}, and its sequence numbers do not show it",
+            f"the board paused, {pauses}, without a gap in its sequence numbers",
         ),
     ]
     sentences += [(1, f"the board stopped: {text}") for text in totals.notices]

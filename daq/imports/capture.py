@@ -48,7 +48,7 @@ def choose_wiring(capture: Capture, options: ProbeOptions) -> Wiring:
     elif step is None or direction is None:
         raise InputError("which probes? the capture has: " + capture.listed, str(capture.path), pair)
     elif decoder is not None:
-        raise InputError("step and direction need no decoder", "--decoder", "leave it out, or give --channels")
+        raise InputError("step and direction need no decoder", "--decoder", "omit it, or give --channels")
     else:
         probes, flags, kinds, decoder = (step, direction), ("--step", "--dir"), "step and direction", TWO_COUNTER
     bits = (capture.bit(probes[0], flags[0]), capture.bit(probes[1], flags[1]))

@@ -123,8 +123,8 @@ def check_clock(cells: Table, column: int, time: int | None) -> int | None:
         return time if clock is None else clock
     is_clock = time in cells.clocks
     if is_clock and any(row[time].strip() != row[clock].strip() for row in cells.rows):
-        what = f"{cells.label(time)} holds the times of another channel, not of {cells.label(column)}"
-        raise InputError(what, str(cells.path), f"leave --time out: {cells.label(clock)} holds its times")
+        what = f"{cells.label(time)} has the times of another channel, not of {cells.label(column)}"
+        raise InputError(what, str(cells.path), f"omit --time: {cells.label(clock)} has its times")
     return time
 
 
@@ -197,25 +197,25 @@ def check_length(cells: Table, column: int) -> None:
     name = cells.names[column]
     stated, dimension, plain = _read_stated_unit(name), find_dimension(name), _strip_unit(name)
     where, other = cells.locate(cells.header_line, column), "choose the position by --position"
-    do = "{} {}; else " + other + ", or state its unit by --x-unit"
+    do = "{} {}; else " + other + ", or give its unit by --x-unit"
     others: list[tuple[str, str]] = []
     if dimension == "force" or (stated is None and plain in FORCE_NAMES):
         kind = f"in {stated}: a force" if stated else "a force by its name"
         how = "for the force of a pulling spring give"
         others = [] if stated else [("force-unit", "N")]
     elif dimension in ("speed", "time"):
-        raise InputError(f"{cells.label(column)} is in {stated}: a {dimension}, no position", where, other)
+        raise InputError(f"{cells.label(column)} is in {stated}: a {dimension}, not a position", where, other)
     elif (stated or "").lower() in RATIO_UNITS or (stated is None and plain in RATIO_NAMES):
         kind = f"dimensionless ({stated})" if stated else "a friction coefficient by its name"
         how = "if it is the force of the pulling spring over the slider's weight give"
         others = [("force-unit", "weight"), ("mass", "1 kg")]
     elif (stated or plain).lower() in COUNT_UNITS:
         do = "give --metres-per-count '7.67 um', or --counts-per-rev=16384 and --circumference '125.66 mm'"
-        raise InputError(f"{cells.label(column)} holds counts", where, do)
+        raise InputError(f"{cells.label(column)} contains counts", where, do)
     else:
         return
     flags, keywords = _suggest_spring_flags(cells, column, *others)
-    what, do_in_python = f"{cells.label(column)} is {kind}, no position", in_python(do.format(how, keywords))
+    what, do_in_python = f"{cells.label(column)} is {kind}, not a position", in_python(do.format(how, keywords))
     raise InputError(what, where, do.format(how, flags), python=do_in_python)
 
 
@@ -228,7 +228,7 @@ def read_belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[s
                 return dimension, units.unit_size(stated, dimension, "--belt-unit"), stated
             except InputError:
                 continue
-    what = f"{cells.label(column)} states no unit" if stated is None else f"{stated!r} is a unit of neither"
+    what = f"{cells.label(column)} has no unit" if stated is None else f"{stated!r} is a unit of neither"
     do = "give --belt-unit=mm for a position of the belt, --belt-unit=mm/s for its speed"
     raise InputError(
         f"{what}: is it the position or the speed of the belt?", cells.locate(cells.header_line, column), do

@@ -29,13 +29,13 @@ def check_half_period(
     swing = measure_half_period(time, position)
     expected = math.pi * math.sqrt(mass / stiffness)
     if swing.number == 0:
-        return ["the frame rate could not be checked: the track holds no whole slip"]
+        return ["the frame rate could not be checked: the track contains no complete slip"]
     if swing.shortest / expected <= TOLERANCE and 1 / TOLERANCE <= swing.longest / expected:
         return []
     measured, ratio = swing.duration, swing.duration / expected
     rate = 1 / float(np.median(np.diff(time)))
     return [
-        f"the frame rate must be wrong: a slip lasts {measured:.3g} s ({swing.number} found) where "
+        f"the frame rate is probably wrong: a slip lasts {measured:.3g} s ({swing.number} found) where "
         f"pi sqrt(m/k) = {expected:.3g} s; the times give {rate:.4g} frames/s, {rate * ratio:.4g} would match "
         f"(or mass and stiffness are wrong); give the camera's true rate by --frame-rate"
     ]

@@ -37,7 +37,7 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
     Raises
     ------
     InputError
-        When the file is missing, cut short or holds something else; for a table, when a column, a unit or a number
+        When the file is missing, cut short or contains something else; for a table, when a column, a unit or a number
         cannot be read: the message names line and column, and what to give.
 
     Warns
@@ -61,7 +61,7 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
     if _is_run(file):
         if import_options:
             name = next(iter(import_options))
-            do = "leave it out; calibrations and x0 are arguments of fitting.rank"
+            do = "omit it; calibrations and x0 are arguments of fitting.rank"
             raise InputError(f"{name}= is for tables, and this is a run file", str(file), do)
         return store.load(file)
     import warnings

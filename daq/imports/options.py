@@ -40,19 +40,17 @@ class ImportOptions(RigFlags):
         str | None,
         Parameter(help="Column of the belt, by name or number: its position or its speed, as its unit says."),
     ] = None
-    belt_unit: Annotated[
-        str | None, Parameter(help="Unit of --belt-column, mm or mm/s, if the header states none.")
-    ] = None
+    belt_unit: Annotated[str | None, Parameter(help="Unit of --belt-column, mm or mm/s, if the header has none.")] = (
+        None
+    )
     clock: Annotated[bool, Parameter(negative=(), help="Times are times of day, 12:00:00.000.")] = False
-    sheet: Annotated[str | None, Parameter(help="Sheet of a workbook (.xlsx), if several hold a table.")] = None
+    sheet: Annotated[str | None, Parameter(help="Sheet of a workbook (.xlsx), if several contain a table.")] = None
     segment: Annotated[
         int | None,
-        Parameter(help="Which measurement of a file that holds several, from 1; 0 reads all of them as one record."),
+        Parameter(help="Number of the measurement, from 1, if the file contains several; 0 joins all of them."),
     ] = None
     preamble: Annotated[int, Parameter(help="Lines to skip above the header.")] = 0
-    skip_bad: Annotated[bool, Parameter(negative=(), help="Leave out lines that cannot be read, and count them.")] = (
-        False
-    )
+    skip_bad: Annotated[bool, Parameter(negative=(), help="Omit and count lines that cannot be read.")] = False
     frame_rate_hz: Annotated[
         float | None, flags.rate("--frame-rate", "The camera's true rate, '400 fps': makes or corrects the times.")
     ] = None
@@ -89,7 +87,7 @@ class CaptureOptions(ProbeOptions):
         float | None, flags.rate("--rate", "Sample rate of a capture's run; default 1000, or the capture's.")
     ] = None
     capture_rate: Annotated[
-        float | None, flags.rate("--capture-rate", "The capture's own rate, if its metadata do not hold it.")
+        float | None, flags.rate("--capture-rate", "Rate of the capture, if its metadata do not contain it.")
     ] = None
 
 

@@ -76,7 +76,7 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
     if step > SLOWEST_S:
         unit = "ms" if step < 1e3 * SLOWEST_S else "us"
         raise InputError(
-            f"the unit of the times is not stated; in s there would be a sample every {step:.3g} s",
+            f"the times have no unit; in s there would be a sample every {step:.3g} s",
             cells.locate(cells.header_line, column),
             f"give the unit: --t-unit {unit}? (--t-unit s if they are seconds)",
             python=f"give the unit: t_unit={unit!r}? (t_unit='s' if they are seconds)",
@@ -89,11 +89,11 @@ def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int,
     if motion is None:
         return
     if force:
-        what = f"the unit of the forces is not known: none is stated, and in N {motion}"
+        what = f"the forces have no unit, and in N {motion}"
         do = "give it: --force-unit mN? --force-unit kgf? (--force-unit N if they are newtons)"
         python = "give it: force_unit='mN'? force_unit='kgf'? (force_unit='N' if they are newtons)"
     else:
-        what = f"the unit of the positions is not known: none is stated, and in m {motion}"
+        what = f"the positions have no unit, and in m {motion}"
         do = "give it: --x-unit mm? --x-unit cm? --x-unit '0.25 mm', a pixel? (--x-unit m if they are metres)"
         python = "give it: x_unit='mm'? x_unit='cm'? x_unit='0.25 mm', a pixel? (x_unit='m' if they are metres)"
     raise InputError(what, cells.locate(cells.header_line, column), do, python=python)

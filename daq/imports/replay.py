@@ -146,9 +146,10 @@ def sample_capture(
     """Sample a capture as a board of ``rate_hz`` would; without metres per count its positions are counts."""
     where = str(capture.path)
     if capture.rate_hz is None:
-        raise InputError("does not state its sample rate", where, "give it by --capture-rate, for example '1 MHz'")
+        raise InputError("does not contain its sample rate", where, "give it by --capture-rate, for example '1 MHz'")
     if not capture.samples / LONGEST_S <= capture.rate_hz <= sigrok.FASTEST_HZ:
-        raise InputError(f"{capture.samples} samples at {capture.rate_hz:g} Hz are no capture", where, "check the rate")
+        what = f"{capture.samples} samples at {capture.rate_hz:g} Hz cannot be right"
+        raise InputError(what, where, "check the rate")
     if not sigrok.SLOWEST_HZ <= rate_hz <= capture.rate_hz:
         what = f"--rate is {rate_hz:g} Hz, the capture was sampled at {capture.rate_hz:g} Hz"
         raise InputError(what, where, f"give a rate of {sigrok.SLOWEST_HZ:g} up to {capture.rate_hz:g}")
@@ -162,7 +163,7 @@ def sample_capture(
         offset += levels.size
         progress(offset)
     if not offset:
-        raise InputError("holds no logic samples", where, "capture again")
+        raise InputError("has no logic samples", where, "capture again")
     rig = replace(rig, decoder=wiring.decoder, counter_bits=16)
     return _build_run(capture, wiring, rate_hz, rig, np.concatenate(rows)), before
 
@@ -207,7 +208,7 @@ def _build_run(
         event_sample=event_sample,
         event_kind=event_kind,
         provenance=provenance.collect_provenance()
-        | {"replay_of": capture.path.name, "start_time_from": "the zip's stamp, whose zone is not known"},
+        | {"replay_of": capture.path.name, "start_time_from": "time stamp of the zip, zone unknown"},
     )
 
 

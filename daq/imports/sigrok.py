@@ -92,7 +92,7 @@ def read(path: Path) -> Capture:
             raise InputError("is a zip without 'metadata', not a sigrok capture", where, "give a .sr file")
         packed = {info.compress_type for info in archive.infolist()}
         if not packed <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-            raise InputError("is packed in a way that sigrok does not use", where, "zip it again by deflate")
+            raise InputError("uses a compression that sigrok does not", where, "zip it again by deflate")
         if archive.getinfo("metadata").file_size > MOST_METADATA:
             raise InputError(f"has over {MOST_METADATA} bytes of metadata", where, "copy the capture again")
         device = _parse_metadata(archive.read("metadata"), where)
@@ -107,7 +107,7 @@ def read(path: Path) -> Capture:
     if max(probes) >= 8 * unitsize:
         raise InputError(f"names probe {max(probes) + 1} in samples of {unitsize} bytes", where, "capture again")
     if size // unitsize == 0:
-        raise InputError("holds no logic samples", where, "capture again")
+        raise InputError("has no logic samples", where, "capture again")
     return Capture(path, probes, unitsize, _read_rate(device, where), size // unitsize, stamp, entries)
 
 
@@ -160,7 +160,7 @@ def _order_entries(names: list[str], base: str, where: str) -> tuple[str, ...]:
 def _name_probes(device: dict[str, str], where: str) -> dict[int, str]:
     probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe[1-9]\d{0,3}", key)}
     if not probes:
-        raise InputError("names no probes in its metadata", where, "capture digital channels")
+        raise InputError("has no probe names in its metadata", where, "capture digital channels")
     return dict(sorted(probes.items()))
 
 

@@ -92,14 +92,14 @@ class Table:
         count = len(self.starts)
         if number is None and count > 1:
             begins = source.shorten(f"line {self.lines[start]}" for start in self.starts)
-            what = f"holds {count} measurements, which begin at {begins}"
-            do = f"choose one with --segment 1 to --segment {count}; --segment 0 reads them as one record"
+            what = f"has {count} measurements, which begin at {begins}"
+            do = f"choose one with --segment 1 to --segment {count}; --segment 0 joins them"
             raise InputError(what, str(self.path), do)
         if number is None or number == 0:
             return self
         if not 1 <= number <= count:
-            what = f"--segment {number}: the file holds {count} measurement{'s' if count > 1 else ''}"
-            raise InputError(what, str(self.path), f"choose 1 to {count}" if count > 1 else "leave it out")
+            what = f"--segment {number}: the file has {count} measurement{'s' if count > 1 else ''}"
+            raise InputError(what, str(self.path), f"choose 1 to {count}" if count > 1 else "omit it")
         chosen = slice(*[*self.starts, len(self.lines)][number - 1 : number + 1])
         return replace(self.take(chosen), starts=(0,))
 
@@ -149,7 +149,7 @@ class Table:
             value = reader(row[column])
             if value is None:
                 cell = row[column].strip()
-                what = f"holds {source.cut(cell)!r}, not {kind}" if cell else "is empty"
+                what = f"contains {source.cut(cell)!r}, not {kind}" if cell else "is empty"
                 return [], f"{self.label(column)} {what}", column
             cells.append(value)
         return cells, "", None
@@ -172,7 +172,7 @@ def list_lines(lines: Iterable[int]) -> str:
 def _advise(cells: Table, bad: Sequence[Skipped], good: Mask) -> tuple[str, str]:
     """Return what to do, for a terminal and in Python."""
     what = "those lines" if len(bad) > 1 else "that line"
-    do = f"correct or delete {what}, or leave such lines out with {{}}: times need not be even"
+    do = f"correct or delete {what}, or skip such lines with {{}}: times need not be evenly spaced"
     if good.any() and len(bad) == int(good.argmax()) and not cells.names:
         do += f"; if the table begins below, give --preamble {bad[-1].line}"
     return do.format("--skip-bad"), in_python(do.format("skip_bad=True"))
@@ -190,7 +190,7 @@ def parse_lines(path: Path, lines: Lines, preamble: int, progress: Stages, delim
         texts = texts.cut(texts.begin, texts.begin + _measure_unclosed(texts, delimiter))
         survey = _survey(texts, delimiter, decimal, silent)
     if not survey.rows:
-        raise InputError("holds no numbers", str(path), "give a CSV with a column of positions")
+        raise InputError("has no numbers", str(path), "give a CSV with a column of positions")
     width = survey.widths.most_common(1)[0][0]
     source.check_size(survey.rows, width, str(path))
     start = layout.find_start(texts, delimiter, decimal, width)
@@ -281,7 +281,7 @@ def decode_text(file: Source) -> str:
     """Return the text of a file, its lines ended by line feeds."""
     data, where = file.data, str(file.path)
     if data.startswith(HDF5):
-        do = "a run file needs no import: process smooth reads it; of another file export a CSV"
+        do = "a run file needs no import: use process smooth; export other files as CSV"
         raise InputError("is an HDF5 file, not a table", where, do)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", "replace")
@@ -320,11 +320,11 @@ def _select_lines(
         delimiter = kept[0][4]  # written by spreadsheets
         kept = kept.take(slice(1, None))
     if not len(kept):
-        what = "holds no data" if (lines.end > lines.begin).any() else "is empty"
+        what = "has no data" if (lines.end > lines.begin).any() else "is empty"
         raise InputError(what, where, "give a CSV with a column of positions")
     for index in np.flatnonzero(kept.end - kept.begin > LONGEST_LINE).tolist():
         if (length := len(kept[index])) > LONGEST_LINE:
-            what = f"the line holds {length} characters; a line of a table has at most {LONGEST_LINE}"
+            what = f"the line has {length} characters; a line of a table has at most {LONGEST_LINE}"
             do = "delete that line; if the table begins below it, give --preamble"
             raise InputError(what, f"{where}, line {kept.number[index]}", f"{do} {kept.number[index]}")
     return kept, comments, delimiter

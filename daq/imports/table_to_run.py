@@ -95,12 +95,12 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     if skipped:
         share = 100 * len(skipped) / (len(skipped) + len(cells.lines))
         lines = table.list_lines(line.line for line in skipped)
-        warnings.append(f"{len(skipped)} lines ({share:.2g} %) could not be read and were left out: {lines}")
+        warnings.append(f"{len(skipped)} lines ({share:.2g} %) could not be read and were skipped: {lines}")
     if cells.beside:
         count_of = f"{len(cells.beside)} line{'s' if len(cells.beside) > 1 else ''}"
-        warnings.append(f"{count_of} with cells beside the table only: left out: {table.list_lines(cells.beside)}")
+        warnings.append(f"{count_of} with cells outside the table only, skipped: {table.list_lines(cells.beside)}")
     if values.shape[1] < 2:
-        what = f"holds {('no', 'a single')[values.shape[1]]} sample"
+        what = f"has {('no', 'a single')[values.shape[1]]} sample"
         raise InputError(what, str(path), "give a track of at least two")
     time, t_unit, chosen = _read_times(values, cells, columns, options, warnings)
     values = values[:, chosen]
@@ -171,8 +171,8 @@ def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
         raise InputError(what, str(cells.path), "export both channels at the same times")
     has_timecodes = time is not None and _is_timecode(cells, time)
     if has_timecodes and not rate_known:
-        what = f"{cells.label(time or 0)} holds time codes, whose last part may be frames or hundredths"
-        do = "give --frame-rate, one line a frame, for example --frame-rate '400 fps'"
+        what = f"{cells.label(time or 0)} contains time codes, whose last part may be frames or hundredths"
+        do = "give --frame-rate, one line per frame, for example --frame-rate '400 fps'"
         raise InputError(what, str(cells.path), do)
     time = None if has_timecodes else time
     if (time is None or frames) and not rate_known:
@@ -268,10 +268,10 @@ def _check_counts(cells: table.Table, column: int, options: ImportOptions) -> No
     """Reject a unit of length given together with metres per count."""
     flag = "--x-unit" if options.x_unit is not None else "--spring-force" if options.spring_force is not None else ""
     if flag:
-        raise InputError(f"{flag} beside metres per count", "command line", "leave one out: counts have no other unit")
+        raise InputError(f"{flag} with metres per count", "command line", "omit one: counts have no other unit")
     if cells.names and find_dimension(cells.names[column]) == "length":
         what = f"{cells.label(column)} is a length, and metres per count are given"
-        do = "leave --metres-per-count out, or choose the column of counts by --position"
+        do = "omit --metres-per-count, or choose the column of counts by --position"
         raise InputError(what, cells.locate(cells.header_line, column), do)
 
 
@@ -286,7 +286,7 @@ def _check_options(options: ImportOptions, stated: Mapping[str, Measured | int])
             f"is {options.frame_rate_hz:.3g} Hz", "--frame-rate", "give the camera's rate, such as '400 fps'"
         )
     if options.clock and options.t_unit is not None:
-        raise InputError("--clock and --t-unit exclude each other", "command line", "leave one out")
+        raise InputError("--clock and --t-unit exclude each other", "command line", "omit one")
     if options.x0 is not None and options.datum is not None:
         raise InputError("--x0 and --datum together", "command line", "give --x0 alone: --datum is -x0")
     if options.spring_force is None:
@@ -301,7 +301,7 @@ def _check_options(options: ImportOptions, stated: Mapping[str, Measured | int])
         for flag, value in (in_si | {"--belt-column": options.belt_column}).items():
             if value is not None:
                 what = f"{flag} is in SI, but positions are in units of weight / stiffness without the slider's --mass"
-                raise InputError(what, flag, "give --mass and --stiffness, or leave it out")
+                raise InputError(what, flag, "give --mass and --stiffness, or omit it")
     elif options.stiffness is None:
         raise InputError("--spring-force without the spring's stiffness", "command line", "give --stiffness")
 
@@ -319,10 +319,10 @@ def _read_position_unit(
     if _is_over_weight(options):
         if options.mass is None or options.stiffness is None:
             warnings.append(
-                "the weight is not known: positions are in units of weight / stiffness, written as m; times and ratios "
-                "of lengths are right; give --mass and --stiffness for metres"
+                "weight unknown: positions are in units of weight / stiffness, written as m; times and ratios "
+                "of lengths are correct; give --mass and --stiffness for metres"
             )
-            return 1.0, "units of weight, as a stretch in units of weight / stiffness"
+            return 1.0, "units of weight, as an extension in units of weight / stiffness"
         weight = options.mass.value * GRAVITY
         return (
             weight / options.stiffness.value,
@@ -331,7 +331,7 @@ def _read_position_unit(
     size, name = read_unit(cells, column, options.force_unit, "force", "--force-unit", warnings)
     if not is_stated(cells, column, options.force_unit):
         warnings.append(
-            f"{cells.label(column)} states no unit and is read in N; for a force divided by the weight give "
+            f"{cells.label(column)} has no unit, so N is assumed; for a force divided by the weight give "
             "--force-unit weight"
         )
     if options.stiffness is None:
@@ -376,7 +376,7 @@ def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:
     """Reject flags about text of any program for a file of a known form."""
     for flag, value in (("--preamble", options.preamble), ("--clock", options.clock)):
         if value:
-            raise InputError(f"{flag} is for text; this is {kind}", str(path), "leave it out")
+            raise InputError(f"{flag} is for text; this is {kind}", str(path), "omit it")
 
 
 def _choose_time_reader(cells: table.Table, column: int, *, clock: bool) -> table.ColumnReader:
@@ -384,7 +384,7 @@ def _choose_time_reader(cells: table.Table, column: int, *, clock: bool) -> tabl
         return column, _Clock().read, "a time of day, with a date such as 2026-03-27 if any"
     index, row = next(((index, row) for index, row in enumerate(cells.rows) if len(row) == cells.width), (0, None))
     if row is not None and cells.number(row[column]) is None and layout.read_clock(row[column]) is not None:
-        what = f"{cells.label(column)} holds times of day such as {row[column].strip()}"
+        what = f"{cells.label(column)} contains times of day such as {row[column].strip()}"
         where = cells.locate(int(cells.lines[index]), column)
         raise InputError(what, where, "give --clock", python="give clock=True")
     return column, cells.number, "a number"

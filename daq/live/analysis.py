@@ -272,10 +272,10 @@ def motion_columns(motion: LiveMotion, piece: int = 0) -> Array:
 def advise(cycles: int) -> str:
     """Return as text whether so many cycles are enough for a verdict, and the effect of more of them."""
     if cycles < FEWEST_CYCLES:
-        return f"a verdict needs {FEWEST_CYCLES} whole cycles at least"
+        return f"a verdict needs at least {FEWEST_CYCLES} complete cycles"
     more = f"{4 * cycles} cycles would halve the standard errors"
     if cycles < FEW_CYCLES:
-        return f"enough for a verdict, but one disturbed cycle may decide it; {more}"
+        return f"enough for a verdict, but a single bad cycle could change it; {more}"
     return f"enough for a verdict; {more}"
 
 

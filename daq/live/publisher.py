@@ -183,7 +183,7 @@ class LiveRun(Publisher):
                 self.look()
             except Exception as error:
                 self.failure = error
-                self._end(f"the view has failed ({error}); the recording goes on")
+                self._end(f"the view has failed ({error}); the recording continues")
             now = time.monotonic()
             due = max(due + LOOK_EVERY_S, now)  # a look that is late does not make the next ones follow at once
             await asyncio.sleep(due - now)
@@ -215,7 +215,7 @@ class LiveRun(Publisher):
             words = {journal.COMPLETE: "complete", journal.STOPPED: "stopped by the user"}
             self._end(f"the recording has ended: {words.get(self.tail.ended, self.tail.ended)}")
         elif time.monotonic() - self._last_new > GONE_AFTER_S and not claim.is_locked(self.tail.path):
-            self._end(f"the recording process is gone: daq recover {self.tail.path.name}")
+            self._end(f"the recording process has died: run daq recover {self.tail.path.name}")
 
     def mark(self, text: str) -> None:
         """Store a marker of the current time next to the journal; the finaliser makes it an event."""
@@ -284,7 +284,7 @@ class LiveRun(Publisher):
         while len(self._losses) > 1 and self._losses[1][0] < self._now - LOSS_SHOWN_S:
             self._losses.popleft()
         if self.tail.port_lost:
-            return f"the port was lost ({self.tail.port_lost}): the recorder waits for it"
+            return f"the port was lost ({self.tail.port_lost}): the recorder is waiting for it"
         silent_s = time.monotonic() - self._last_new
         if silent_s > GONE_AFTER_S:
             return f"no sample for {silent_s:.0f} s"
@@ -301,9 +301,7 @@ class LiveRun(Publisher):
             is_finished = False
         if is_finished:
             return "the recording has ended"
-        return (
-            f"{self.path.name} has been moved or removed; the terminal of daq record says where the recording goes on"
-        )
+        return f"{self.path.name} has been moved or removed; see the terminal of daq record"
 
     def _publish(self, motion: Array | None, summary: dict[str, Any]) -> None:
         texts: dict[str, str] = {}

@@ -169,9 +169,9 @@ class Guard:
         origin = request.headers.get("origin")
         first = scope["path"].split("/")[1] if "/" in scope["path"] else ""
         if request.headers.get("host") not in self._hosts:
-            await PlainTextResponse("this server is for its own computer", 421)(scope, receive, send)
+            await PlainTextResponse("this server answers only its own computer", 421)(scope, receive, send)
         elif origin is not None and origin not in [f"http://{host}" for host in self._hosts]:
-            await PlainTextResponse("this page is of another site", 403)(scope, receive, send)
+            await PlainTextResponse("this page comes from another site", 403)(scope, receive, send)
         elif not secrets.compare_digest(first.encode(), self._token.encode()):
             await Response(NO_VIEW, 404, media_type="text/html")(scope, receive, send_guarded)
         else:

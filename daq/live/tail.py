@@ -122,7 +122,7 @@ class JournalTail:
         """
         with self.path.open("rb") as file:
             if file.seek(0, os.SEEK_END) < self._position:
-                what = "is shorter than before: it is another recording's"
+                what = "is shorter than before: it belongs to another recording"
                 raise InputError(what, str(self.path), "open the view of that recording")
             file.seek(self._position)
             content = journal.Content(journal.MAGIC + file.read(most_bytes))

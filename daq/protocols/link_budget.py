@@ -38,7 +38,7 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
     """
     rate_hz = plan.rate_hz
     if rate_hz > ident.max_rate_hz:
-        what = f"{rate_hz:g} Hz is more than this board samples at, {ident.max_rate_hz} Hz"
+        what = f"{rate_hz:g} Hz exceeds the board's maximum, {ident.max_rate_hz} Hz"
         most = ident.max_rate_hz
         raise InputError(what, "--rate", f"give --rate {most} or less", python=f"give rate_hz={most} or less")
     _check_roll_over(ident, rig, rate_hz)
@@ -48,7 +48,7 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
         room = baud / BITS_PER_BYTE
         most = int(rate_hz * room / load)
         load_text = (
-            f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s, and {baud} baud can transfer {room:.0f}"
+            f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s; {baud} baud can transfer {room:.0f}"
         )
         if load > room and plan.comes_already:
             return warnings  # more than a serial line carries: its baud rate is only a name, as with native USB
@@ -99,5 +99,5 @@ def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:
         return []
     return [
         f"a slip may reach {peak:.0f} edges/s ({SLIP_OVER_BELT:g} belt speeds) and this board can follow "
-        f"{ident.max_edge_rate_hz}: counts may be lost; see the illegal count, or take an encoder with fewer lines"
+        f"{ident.max_edge_rate_hz}: counts may be lost; see the illegal count, or use an encoder with fewer lines"
     ]

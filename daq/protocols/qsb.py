@@ -49,13 +49,13 @@ _SPACE = b" \r\n"
 
 def check(request: RecordRequest) -> None:
     if request.rate_hz is not None and request.rate_hz > TICK_HZ:
-        what = f"{request.rate_hz} Hz is more than a QSB can: its tick of 1/512 s allows at most {TICK_HZ} Hz"
+        what = f"{request.rate_hz} Hz is too fast for a QSB: its tick of 1/512 s allows at most {TICK_HZ} Hz"
         raise InputError(what, "--rate", f"give --rate {TICK_HZ} or less, or use a board with our firmware")
     if request.decoder is not None and request.decoder not in MODES:
         what = f"a QSB has no decoder {request.decoder!r}"
         raise InputError(what, "--decoder", f"give {' or '.join(MODES)}")
     if request.columns is not None:
-        raise InputError("records of a QSB have fixed columns", "--columns", "leave it out: it is for text")
+        raise InputError("records of a QSB have fixed columns", "--columns", "omit it: it is for text")
 
 
 def make_ident(decoder: str | None) -> frames.Ident:

@@ -193,7 +193,7 @@ class Text(Session):
         if requested is not None:
             if abs(rate_hz / requested - 1) > RATE_WITHIN:
                 what = f"the lines arrive at {rate_hz:.4g} Hz, not at {requested} Hz"
-                do = f"leave --rate out, or give {round(rate_hz)}, or change the sketch"
+                do = f"omit --rate, or give {round(rate_hz)}, or change the sketch"
                 python = f"give rate_hz=None, or {round(rate_hz)}, or change the sketch"
                 raise InputError(what, "--rate", do, python=python)
             rate_hz = float(requested) if abs(rate_hz / requested - 1) < 0.01 else rate_hz
@@ -202,11 +202,9 @@ class Text(Session):
         notes = []
         if self._coarse and self._even:
             what = "the times are whole milliseconds, evenly spaced: exact if a timer takes the samples"
-            notes.append(
-                f"{what}; if they come from millis(), their errors are up to 1 ms: let the sketch print micros()"
-            )
+            notes.append(f"{what}; if they come from millis(), their errors are up to 1 ms: print micros() instead")
         elif self._coarse:
-            notes.append("the times are whole milliseconds, with errors up to 1 ms: let the sketch print micros()")
+            notes.append("the times are whole milliseconds, with errors up to 1 ms: print micros() instead")
         if self._form.measured is not None and not self._form.measured[0]:
             example = self._form.declared.replace("x:", "x_mm:")
             notes.append(
@@ -242,7 +240,7 @@ class Text(Session):
     def _explain_silence(self, bytes_heard: int, good: int, bad: int, example: bytes) -> tuple[str, str, str]:
         if bytes_heard == 0:
             do = "check the port ('daq ports'), the cable, and that the sketch prints without a command"
-            return f"nothing came within {sessions.ANSWER_S:g} s", self.url, do
+            return f"no data arrived within {sessions.ANSWER_S:g} s", self.url, do
         if bad > good:
             if (labels := explain_labels(example)) is not None:
                 return labels[0], self.url, labels[1]
@@ -251,9 +249,9 @@ class Text(Session):
                 form = "t_us,x_mm" if "." in example_text else "t_us,up,down"
                 do = f"declare the columns, as in --columns {form}, or print labels, as in t=1,pos=2; check --baud"
                 return f"the lines have no labels, and no columns are declared; one is {example_text!r}", self.url, do
-            problem = f"the lines are not of the columns {self.request.columns}; one is {example_text!r}"
+            problem = f"the lines do not match the columns {self.request.columns}; one is {example_text!r}"
             return problem, self.url, "declare the actual columns by --columns, and check --baud"
-        problem = f"only {good} lines came within {sessions.ANSWER_S:g} s"
+        problem = f"only {good} lines arrived within {sessions.ANSWER_S:g} s"
         return problem, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"
 
 

@@ -78,15 +78,15 @@ def _write_recording(
     try:
         first = taker.next()
     except KeyboardInterrupt as error:
-        raise RecordingInterruptedError("interrupted before the first block came", WHERE, "record again") from error
+        raise RecordingInterruptedError("interrupted before the first block", WHERE, "record again") from error
     except _SourceError as error:
         what = f"the source failed before its first block: {_describe_failure(error)}"
         raise DeviceError(what, WHERE, "mend it") from error.__cause__
     if first is None and taker.ended == journal.STOPPED:
-        raise RecordingInterruptedError("stopped before the first block came", WHERE, "record again")
+        raise RecordingInterruptedError("stopped before the first block", WHERE, "record again")
     if first is None:
         silent = f" in {taker.patience_s:g} s" if taker.ended == journal.SOURCE_SILENT else ""
-        raise DataError(f"the source gave no block with a sample{silent}", WHERE, DO)
+        raise DataError(f"the source gave no samples{silent}", WHERE, DO)
     settings: dict[str, Any] = {
         "protocol": blocks.NAME,
         "columns": blocks.COUNTS if first.counted else blocks.POSITIONS,
@@ -115,7 +115,7 @@ def _write_recording(
         if isinstance(failure, InputError):
             raise InputError(f"{failure.what}; {kept}", failure.where, failure.do) from failure
         what = f"the source failed: {_describe_failure(failure)}"
-        raise DeviceError(what, WHERE, f"mend it; {kept}") from failure.__cause__
+        raise DeviceError(what, WHERE, f"correct it; {kept}") from failure.__cause__
     return quality
 
 
@@ -288,18 +288,18 @@ class _Taking:
             times, values = item
         except (TypeError, ValueError) as error:
             what = f"block {self._number} is {_describe_item(item)}, not two arrays"
-            do = f"{DO}; for arrays that are complete use daq.Recording.from_arrays(t, x).save(path)"
+            do = f"{DO}; for complete arrays use daq.Recording.from_arrays(t, x).save(path)"
             raise InputError(what, WHERE, do) from error
         where = f"{WHERE}, block {self._number}"
         time = numbers(times, "time", where, DO, single=True)
         column = numbers(values, "position", where, DO, single=True)
         if len(time) != len(column):
-            what = f"block {self._number} holds {len(time)} times and {len(column)} values"
+            what = f"block {self._number} has {len(time)} times and {len(column)} values"
             raise InputError(what, WHERE, DO)
         counted = column.dtype.kind in "iu"
         if self._counted is not None and len(time) and counted != self._counted:
             kinds = "counts (integers)", "positions (floats)"
-            what = f"block {self._number} holds {kinds[not counted]} after {kinds[not self._counted]}"
+            what = f"block {self._number} has {kinds[not counted]} after {kinds[not self._counted]}"
             raise InputError(what, WHERE, "give all blocks as one or the other: np.asarray(x, float)")
         seconds = time.astype(np.float64)
         self._check_values(seconds, column)
@@ -314,7 +314,7 @@ class _Taking:
             wrong = np.flatnonzero(~((np.abs(values) <= most) & np.isfinite(values)))
             if wrong.size:
                 what = f"the {name} of sample {wrong[0]} in block {self._number} is {values[wrong[0]]:g}"
-                raise InputError(what, WHERE, "leave out samples that are no numbers")
+                raise InputError(what, WHERE, "omit samples that are not numbers")
         steps = np.diff(time, prepend=self._last_s if self.taken else -np.inf)
         wrong = np.flatnonzero(~(steps > 0))
         if wrong.size:

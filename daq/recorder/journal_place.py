@@ -57,7 +57,7 @@ class JournalPlace:
             return True
         if not self._hopeless:
             self._hopeless = True
-            self._say(f"{self._writer.path} was removed or unmounted, and no other folder takes the journal{reasons}")
+            self._say(f"{self._writer.path} was removed or unmounted, and no other folder accepts the journal{reasons}")
         return False
 
     def _folders(self) -> Iterator[Path]:

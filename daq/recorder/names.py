@@ -15,7 +15,7 @@ def complete_name(path: Path) -> Path:
     """Fill in the fields of a file name: {n} is the next free number in the folder, {date} the local time."""
     if "{" not in path.name and "}" not in path.name:
         if "{" in str(path.parent):
-            raise InputError("a field stands in the folder's name", str(path), "use fields in the file's name alone")
+            raise InputError("the folder's name contains a field", str(path), "use fields only in the file's name")
         return path
     try:
         parts = list(string.Formatter().parse(path.name))
@@ -23,7 +23,7 @@ def complete_name(path: Path) -> Path:
         raise InputError(f"the pattern cannot be read: {error}", str(path), DO) from error
     for _, field, form, conversion in parts:
         if field is not None and (field not in FORMATS or conversion or not re.fullmatch(FORMATS[field], form or "")):
-            raise InputError("holds a field that is not known", str(path), DO)
+            raise InputError("contains an unknown field", str(path), DO)
     date = f"{datetime.now():%Y%m%d-%H%M%S}"
     return path.with_name(path.name.format(n=_find_next_number(path.parent, parts), date=date))
 

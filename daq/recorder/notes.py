@@ -49,7 +49,7 @@ def parse_tags(typed: list[str]) -> dict[str, str]:
             do = "write NAME=VALUE, the name in letters, digits and underscores, such as humidity=45"
             raise InputError(f"{text!r} is not a tag", "--tag", do)
         if name in values:
-            raise InputError(f"{name} is given twice", "--tag", "leave one out")
+            raise InputError(f"{name} is given twice", "--tag", "omit one")
         check_text(value, "--tag")
         values[name] = value
     return values
@@ -57,6 +57,6 @@ def parse_tags(typed: list[str]) -> dict[str, str]:
 
 def check_text(text: str, flag: str) -> None:
     if not all(character.isprintable() or character in "\n\t" for character in text):
-        raise InputError("the text has characters that cannot be printed", flag, "leave them out")
+        raise InputError("the text has characters that cannot be printed", flag, "omit them")
     if len(text) > LONGEST:
         raise InputError(f"the text has {len(text)} characters", flag, f"give at most {LONGEST}")

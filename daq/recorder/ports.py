@@ -62,7 +62,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     do = "give a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
     scheme, address, _ = url.partition("://")
     if address and scheme.lower() not in SCHEMES:
-        raise InputError(f"{scheme}:// is no kind of port", url, do)
+        raise InputError(f"{scheme}:// is not a kind of port", url, do)
     if "rig_sim" not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append("rig_sim")
     # Two readers of one device would each get a part of the bytes.
@@ -107,7 +107,7 @@ def explain_refusal(url: str, error: OSError) -> tuple[str, str, str]:
     if code == errno.EACCES or (device.exists() and not _is_allowed(device)):
         return "no permission to open this port", url, permission_fix(device)
     if code == errno.EBUSY or "exclusively lock" in str(error):
-        return "another program holds this port", url, "close that program (a serial monitor?) and try again"
+        return "another program is using this port", url, "close that program (a serial monitor?) and try again"
     if code == errno.ENOENT or (url.startswith("/dev/") and not device.exists()):
         return "no such port", url, f"connect the board; {_list_present()}"
     if "://" in url:
@@ -119,7 +119,7 @@ def list_ports() -> list[PortInfo]:
     """Return the serial devices of this machine, and the simulated rig, which is always present."""
     from serial.tools.list_ports import comports
 
-    ports = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
+    ports = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' uses it when no --port is given", True)]
     for info in sorted(comports()):
         device = Path(info.device)
         usable = os.name == "nt" or _is_allowed(device)

@@ -136,8 +136,8 @@ class Reader(threading.Thread):
 
     def _explain_silence(self, heard: int) -> str:
         if heard:
-            return f"no new sample in the {heard} bytes that came in {SILENT_S:g} s"
-        return f"nothing came for {SILENT_S:g} s"
+            return f"no new sample in the {heard} bytes received in {SILENT_S:g} s"
+        return f"no data arrived for {SILENT_S:g} s"
 
     def _finish(self) -> None:
         try:
@@ -174,7 +174,7 @@ class Reader(threading.Thread):
             return True
         if not self._stopping.is_set():
             self.ended = journal.PORT_LOST
-            self._say("the port did not come back; the run ends here")
+            self._say("the port was not reopened; the run ends here")
         return False
 
     def _keep(self, kind: int, data: bytes) -> None:

@@ -154,7 +154,7 @@ def record(
         board.close()
         raise
     if not writer.locked:
-        say(f"{writer.path} cannot be locked on this file system: run no 'daq recover' on it before the recording ends")
+        say(f"{writer.path} cannot be locked on this file system: do not run 'daq recover' until the recording ends")
     place = JournalPlace(writer, request.output, say)
     reader = Reader(board, lambda: _connect(request).board, plan.rate_hz, samples, say)
     with keep_journal(writer):
@@ -177,14 +177,14 @@ def record(
         except DataError as error:
             why = f": {reader.tally.notice}" if reader.tally.notice else ""
             if reader.heard:
-                what = f"not one sample can be read in the {reader.heard} bytes that came{why}"
+                what = f"no sample could be read from the {reader.heard} bytes received{why}"
                 do = f"check --baud and --protocol; the bytes are kept in {writer.path}"
                 raise DataError(what, request.port, do) from error
             writer.remove()  # it is empty, and would block the next recording
             if stop.is_set():
-                what = "interrupted before the first sample came"
+                what = "interrupted before the first sample"
                 raise RecordingInterruptedError(what, request.port, "record again") from error
-            raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
+            raise DataError(f"no sample arrived{why}", request.port, "check the board, then record again") from error
 
 
 @contextmanager
@@ -272,8 +272,8 @@ def _replace_calibration(request: RecordRequest, identity: Identity) -> str | No
     if not dimension:
         return rig.to_toml()
     if "metres_per_count" in request.stated:
-        what = "the columns give positions with a unit, and metres per count are given"
-        raise InputError(what, "--metres-per-count", "leave it out: it is for counts")
+        what = "positions have a unit, but metres per count are given"
+        raise InputError(what, "--metres-per-count", "omit it: it is for counts")
     pitch = Measured(size)
     if dimension == FORCE:
         if rig.stiffness is None:
@@ -380,5 +380,5 @@ def disk_error(part: Path, error: OSError) -> StickslipError:
     else:
         do = "record into a folder you may write to, with -o"
     refused = disk.describe_refusal(part, error)
-    kept = "; the journal is kept as far as it got" if part.exists() else ""
+    kept = "; the journal is kept up to that point" if part.exists() else ""
     return disk.RefusedError(refused.what + kept, refused.where, do)

@@ -70,12 +70,12 @@ def record(
         The run file; ``run-{n:03}.h5`` is numbered.
     rate_hz : float, text with a unit, or None
         Nominal sample rate, Hz or ``"1 kHz"``.  Where times step by n periods, n - 1 samples are counted as lost.  None
-        for a port whose rate is its own (text lines).
+        for a port that sets its own rate (text lines).
     seconds : float or text with a unit, optional
-        How long, s or ``"2 min"``; by default until the iterable ends, and 20 s from a port.  An iterable that gives no
-        sample for as long, or for 5 s if that is longer, ends the recording.
+        Duration, s or ``"2 min"``; by default until the iterable ends, and 20 s from a port.  The recording also ends
+        if an iterable yields no sample for this time, or for 5 s if that is longer.
     mass, stiffness, damping, belt_speed, x0, metres_per_count : quantity, optional
-        What is known of the rig, as for `Recording.from_arrays`; in place of what a board sends or ``rig`` says.
+        What is known of the rig, as for `Recording.from_arrays`; overrides the board and ``rig``.
     rig : path, optional
         A rig.toml.
     protocol, columns, baud, decoder
@@ -83,13 +83,13 @@ def record(
     title, operator, sample, note, tags
         Notes on the run; tags are a mapping of texts.
     live : bool
-        Show the recording in the browser (``daq watch``), in a process of its own.
+        Show the recording in the browser (``daq watch``), in a separate process.
     force : bool
         Replace an existing file.
     progress, say : callable
         Called with the seconds recorded so far, and with a line of text about a board.
     stop : threading.Event, optional
-        Ends the recording when it is set; at most 3 s later where the iterable gives nothing.
+        Ends the recording when it is set; at most 3 s later where the iterable yields nothing.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def record(
     Raises
     ------
     InputError
-        For arguments that cannot be, a file that exists, a block that is no two columns of one length, times that do
+        For impossible arguments, an existing file, a block that is not two columns of equal length, times that do
         not increase, or a rate that they do not have.  Blocks before a wrong one are kept in the file.
     DeviceError
         The port does not answer; the source raised an exception (its ``__cause__``): what came before is in the file;
@@ -174,7 +174,7 @@ def recover(
     Parameters
     ----------
     journal : path
-        The ``RUN.h5.part`` that the recording left.
+        The journal of the recording, ``RUN.h5.part``.
     output : path, optional
         The run file; by default the journal's name without ``.part``.
     force : bool
@@ -189,7 +189,7 @@ def recover(
     InputError
         The journal is missing, not a journal, or still being written; or the run file exists.
     DataError
-        The journal holds no samples.
+        The journal has no samples.
 
     Examples
     --------

@@ -42,9 +42,9 @@ def from_arrays(
     check_type(title, str, "title", "from_arrays", "text")
     times, values = numbers(time, "time", "from_arrays", DO), numbers(position, "position", "from_arrays", DO)
     if len(times) != len(values):
-        raise InputError(f"time holds {len(times)} values and position {len(values)}", "from_arrays", "give one each")
+        raise InputError(f"time has {len(times)} values and position {len(values)}", "from_arrays", "give one each")
     if len(times) < 2:
-        raise InputError(f"time and position hold {len(times)} sample(s)", "from_arrays", "give two or more")
+        raise InputError(f"time and position have {len(times)} sample(s)", "from_arrays", "give two or more")
     seconds = times.astype(np.float64)
     seconds = seconds - seconds[0]
     quantities = read_all_stated(**stated)
@@ -76,7 +76,7 @@ def from_arrays(
     belt = numbers(belt_position, "belt_position", "from_arrays", DO).astype(np.float64)
     if len(belt) != len(seconds):
         raise InputError(
-            f"belt_position holds {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
+            f"belt_position has {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
         )
     _check_finite(belt, "belt_position")
     return add_belt(run, belt)
@@ -91,8 +91,8 @@ def read_counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: st
     whole = np.rint(values)
     off = np.flatnonzero(~(values == whole))
     if off.size:
-        what = f"{name} is {values[off[0]]:g} at sample {off[0]}, no count, and metres_per_count is given"
-        raise InputError(what, name, "give whole counts, or leave metres_per_count out if these are metres")
+        what = f"{name} is {values[off[0]]:g} at sample {off[0]}, not a count, but metres_per_count is given"
+        raise InputError(what, name, "give whole counts, or omit metres_per_count if these are metres")
     return np.asarray(whole, np.int64)
 
 

@@ -35,7 +35,7 @@ def refuse_foreign_file(path: Path, runs: Sequence[Recording], *, force: bool = 
         with open_joint_fit(path) as entry:
             digests = nexus.read_texts(entry, "runs/sha256_raw", path)
     except (InputError, *trust.DAMAGE) as error:
-        raise InputError("exists and is no joint fit", str(path), KEPT) from error
+        raise InputError("exists and is not a joint fit", str(path), KEPT) from error
     if sorted(digests) != sorted(run.digest for run in runs):
         raise InputError("exists and is the joint fit of other runs", str(path), KEPT)
 

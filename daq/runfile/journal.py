@@ -323,8 +323,8 @@ def make_folder_error(path: Path) -> InputError:
 def _make_header_error(path: Path, size: int, received: int) -> InputError:
     if received:
         what = f"its header is damaged, in every copy; {received} records of received bytes follow it"
-        return InputError(what, str(path), "keep it: the bytes are there, only how they were recorded is not known")
-    what = f"has no whole record in its {size} bytes: it was cut inside its header, or is damaged throughout"
+        return InputError(what, str(path), "keep it: the bytes are complete, but how they were recorded is unknown")
+    what = f"has no complete record in its {size} bytes: its header is cut short, or it is damaged throughout"
     return InputError(what, str(path), "look for another copy of it, or record again")
 
 

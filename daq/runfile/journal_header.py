@@ -17,7 +17,7 @@ SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e7
 MOST_SAMPLES = 2_000_000_000  # the run file's sample numbers (uint32) hold twice as many
 LAST_NS = 4_102_444_800_000_000_000  # the year 2100
 DIGEST = "sha256_raw"  # a field of the provenance that is made with the run file
-DO = "keep it: its samples are there, but how they were recorded is not known"
+DO = "keep it: its samples are complete, but how they were recorded is unknown"
 
 
 def _is_text(value: Any) -> bool:
@@ -93,9 +93,9 @@ def parse(text: bytes, path: Path) -> dict[str, Any]:
     try:
         header = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError("its header is no JSON", str(path), DO) from error
+        raise InputError("its header is not JSON", str(path), DO) from error
     if not isinstance(header, dict):
-        raise InputError("its header holds no fields", str(path), DO)
+        raise InputError("its header contains no fields", str(path), DO)
     for name, (what, may_be) in _FIELDS.items():
         if name in header and not may_be(header[name]):
             shown_value = repr(header[name])

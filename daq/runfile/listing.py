@@ -12,7 +12,7 @@ from daq.runfile.run_data import OF_FILE, count_lost
 from stickslip.errors import InputError
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
-UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"
+UNFINISHED = "a journal: still recording, or interrupted (daq recover)"
 WANTED = ("title", "started", "rate_hz", "operator", "sample_name", "note", "tags", "provenance")
 LISTED = [row for row in schema.TREE if isinstance(row, tree.Group) or row.of in WANTED]
 VERDICT, PART = "fit/parameters/verdict", "fit/parameters/part"

@@ -47,7 +47,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     else:
         values = np.asarray(data)
         if values.dtype.kind == "f" and units is None:
-            raise ValueError(f"float field {name!r} has no units; give units, '' when it is dimensionless")
+            raise ValueError(f"float field {name!r} has no units; give units, '' if it is dimensionless")
         filters = {}
         if values.ndim and values.size:
             filters = {"chunks": (min(values.shape[0], CHUNK), *values.shape[1:]), **FILTERS}
@@ -88,7 +88,7 @@ def add_link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
 
 def check_length(length: int, n: int, name: str, where: Path) -> None:
     if length != n:
-        raise InputError(f"/entry/{name} has {length} values where {n} belong", str(where), AGAIN)
+        raise InputError(f"/entry/{name} has {length} values instead of {n}", str(where), AGAIN)
 
 
 def read_group(parent: h5py.Group, name: str, where: Path) -> h5py.Group:

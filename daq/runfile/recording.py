@@ -266,7 +266,7 @@ class Recording(RunData):
             "segments": str(segments) if segments > 1 else "",
             "samples lost": "" if self.raw is None else str(count_lost(self.raw.sample, self.segment)),
             "position": shown_range(self.position.min(), self.position.max(), self.unit) if self.time.size else "",
-            "belt": "with an encoder of its own" if self.belt_velocity is not None else "",
+            "belt": "with its own encoder" if self.belt_velocity is not None else "",
             "events": ", ".join(f"{self.event_kind.count(kind)} {kind}" for kind in sorted(set(self.event_kind))),
             "started": self.when,
         }

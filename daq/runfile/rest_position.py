@@ -27,13 +27,13 @@ def question_rest_position(x0: Measured, low: float, high: float) -> str:
     if low <= -x0.value <= high:
         return (
             f"{_describe_outside(x0, outside, low, high)}, and {format_length(-x0.value)} lies inside it; is its sign "
-            "right? x0 is the reading at the spring's rest (--x0), a datum is -x0"
+            "correct? x0 is the reading with the spring relaxed (--x0), a datum is -x0"
         )
     if outside - X0_ERRORS * x0.sd <= FAR * (high - low):
         return ""
     fall = 50 * (high - low) / (outside + (high - low))
     return (
-        f"{_describe_outside(x0, outside, low, high)}; are its sign and its unit right? "
+        f"{_describe_outside(x0, outside, low, high)}; are its sign and its unit correct? "
         f"Friction would fall by {fall:.2g} % of Fs in a slip"
     )
 

@@ -131,7 +131,10 @@ def find_replaced(stored: Rig, used: Rig) -> list[Replaced]:
         difference, errors = abs(now.value - before.value), (with_error(before).sd, with_error(now).sd)
         if difference > sum(errors):
             unit = si_unit(OF_QUANTITY[name])
-            text = f"{name}: {now.value:g} {unit} replaces the stored {before.value:g} {unit}, beyond their errors"
+            text = (
+                f"{name}: {now.value:g} {unit} overrides the stored {before.value:g} {unit}, "
+                "which differs by more than the errors"
+            )
             sigmas = difference / math.hypot(*errors) if any(errors) else math.nan
             replacements.append(Replaced(text, now.value, before.value, sigmas))
     return replacements
@@ -166,7 +169,7 @@ def _read_section(section: str, content: Any, where: str) -> dict[str, Any]:
     for key in SECTIONS[section]:
         if key in QUANTITIES:
             if f"{key}_sd" in content and key not in content:
-                raise InputError(f"{section}.{key}_sd is given without {section}.{key}", where, f"add {key} or drop it")
+                raise InputError(f"{section}.{key}_sd is given without {section}.{key}", where, f"add or remove {key}")
             if key in content:
                 values[key] = check_measured(
                     key,

@@ -126,7 +126,7 @@ class RunReader:
         with trust.damage(self._where):
             values = tree.read(self._entry, RECORDING, self._where, self._in_file(selected))
             time, position = values["time"], values["position"]
-            if wrong := explain_impossible(time, position) if time.size else "holds no samples":
+            if wrong := explain_impossible(time, position) if time.size else "has no samples":
                 raise InputError(wrong, str(self._where), nexus.AGAIN)
             raw, sent_as = tree.select_part(values, "raw"), tree.select_part(values, "sent_as")
             return Recording(

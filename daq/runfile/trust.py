@@ -146,7 +146,7 @@ class _Visit:
         if external:
             raise self._refusal(f"/{external[0].decode(errors='replace')} is a link to another file")
         if len(names) > MOST_OBJECTS:
-            raise self._refusal(f"holds more than {MOST_OBJECTS} objects")
+            raise self._refusal(f"has more than {MOST_OBJECTS} objects")
 
     def _read(self, dataset: h5py.h5d.DatasetID, place: str) -> None:
         creation, kind = dataset.get_create_plist(), dataset.dtype
@@ -166,7 +166,7 @@ class _Visit:
         """Refuse a dataset with a chunk that does not hold ``whole`` bytes."""
         filters = [creation.get_filter(index)[0] for index in range(creation.get_nfilters())]
         if filters != [code for code in FILTERS if code in filters]:
-            raise self._refusal(f"{place} is packed in a way that no run is")
+            raise self._refusal(f"{place} uses a compression that no run has")
         trailer = 4 if h5py.h5z.FILTER_FLETCHER32 in filters else 0
         offsets: list[tuple[int, ...]] = []
         dataset.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))
@@ -179,7 +179,7 @@ class _Visit:
                 except zlib.error:
                     continue  # as a wrong checksum is found by whoever needs it
             if skipped or len(content) != whole:
-                what = f"is damaged: {place} has a chunk of {len(content)} bytes where {whole} belong"
+                what = f"is damaged: {place} has a chunk of {len(content)} bytes instead of {whole}"
                 raise InputError(what, str(self._path), AGAIN)
 
     def _refusal(self, what: str) -> InputError:

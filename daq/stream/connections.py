@@ -182,13 +182,13 @@ def find_contradictions(idents: Sequence[wire.Ident | None], configs: Sequence[s
     if len(reported) > 1:
         changes = "; then ".join(describe_ident(ident) for ident in reported)
         sentences.append(
-            f"the board identified itself anew, as another: {changes}; each segment is read as it was sent"
+            f"the board identified itself again, differently: {changes}; each segment is read by its identification"
         )
     decoders = list(dict.fromkeys(ident.decoder for ident in reported))
     unrelated = [decoder for decoder in decoders if decoder not in EDGES_PER_COUNT]
     if len(decoders) > 1 and unrelated:
         sentences.append(
-            f"the decoder changed between {' and '.join(decoders)}, and how their counts compare is not known: "
+            f"the decoder changed between {' and '.join(decoders)}, and the ratio of their counts is unknown: "
             f"positions of segments other than {decoders[0]} may have another scale"
         )
     elif len({EDGES_PER_COUNT[decoder] for decoder in decoders if decoder not in unrelated}) > 1:

@@ -125,20 +125,20 @@ def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int)
     findings = []
     spikes = sum(fault.samples for fault in faults if fault.kind == "spike")
     if spikes > frames.lost + frames.doubled:
-        text = f"{_count(spikes, 'sample')} out of line with the neighbours (spikes, drop-outs): left out"
+        text = f"{_count(spikes, 'sample')} omitted as outliers (spikes, drop-outs)"
         findings.append(Finding("spikes", text, float(spikes), 0.0))
     frozen = [fault.samples for fault in faults if fault.kind == "frozen"]
     if frozen:
-        text = f"the sensor held its value {_count(len(frozen), 'time')} while the mass moved"
-        findings.append(Finding("frozen", f"{text}: {_count(sum(frozen), 'sample')} left out", float(sum(frozen)), 0.0))
+        text = f"the sensor froze {_count(len(frozen), 'time')} while the mass moved"
+        findings.append(Finding("frozen", f"{text}: {_count(sum(frozen), 'sample')} omitted", float(sum(frozen)), 0.0))
     for name, number in (("dropped", frames.lost), ("doubled", frames.doubled)):
         if number:
             share = number / (frames.compared + number)
             findings.append(
                 Finding(
                     f"{name}-frames",
-                    f"about {100 * share:.1f} % of the frames are {name} although the times are even "
-                    f"({number} of {frames.compared} steps): times and speeds are wrong by as much; "
+                    f"about {100 * share:.1f} % of the frames are {name} although the times are evenly spaced "
+                    f"({number} of {frames.compared} steps): times and speeds are wrong by the same amount; "
                     "record the time of every frame",
                     share,
                     0.0,
@@ -147,7 +147,7 @@ def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int)
     share = sum(fault.samples for fault in faults) / samples
     if share > MUCH:
         findings.append(
-            Finding("faulty-sensor", f"{100 * share:.0f} % of the samples are faults: mend the sensor", share, MUCH)
+            Finding("faulty-sensor", f"{100 * share:.0f} % of the samples are faulty: check the sensor", share, MUCH)
         )
     return findings
 
@@ -162,9 +162,9 @@ def step_findings(steps: list[PositionStep], frames: FrameCount, unit: str, *, r
         return []
     largest = max(shifts, key=lambda step: abs(step.size)).size
     text = (
-        f"the position steps by a constant {_count(len(shifts), 'time')} (largest {largest:.3g} {unit}), as when a "
+        f"the position jumps {_count(len(shifts), 'time')} (largest {largest:.3g} {unit}), as when a "
         f"camera is moved or a wheel slips: "
-        + ("taken out" if repaired else "marked; velocity and fit are without them")
+        + ("corrected" if repaired else "marked, and removed from velocity and fit")
     )
     return [Finding("position-steps", text, largest, 0.0)]
 
@@ -179,8 +179,8 @@ def drift_finding(time: Array, position: Array, unit: str) -> Finding | None:
     if abs(slope) <= SIGNIFICANT_DRIFT * error or np.abs(residual).max() > STRAIGHT * abs(travel):
         return None
     text = (
-        f"the position drifts by {slope:.3g} {unit}/s throughout and the mass never slips: a counter that is parked "
-        "and dithers, or a belt that drags the mass all the time"
+        f"the position drifts by {slope:.3g} {unit}/s throughout and the mass never slips: either a parked "
+        "counter dithers, or the belt drags the mass all the time"
     )
     return Finding("drift", text, slope, 0.0, abs(slope) / error if error > 0 else math.inf)
 
@@ -189,15 +189,15 @@ def belt_findings(stated: Measured | None, speed: float, unit: str) -> list[Find
     """Return the finding of a stated belt speed that differs from the speed of the sticks (NaN without one)."""
     if stated is None:
         return []
-    text = f"belt speed: {stated.value:.4g} m/s was stated, "
+    text = f"belt speed: {stated.value:.4g} m/s was given, "
     if unit != "m":
-        text += "but the positions are in counts: this rig has no metres_per_count"
+        text += "but the positions are in counts (no metres_per_count)"
         if math.isfinite(speed) and stated.value:
-            text += f"; the sticks' {speed:.5g} count/s would be that speed at {stated.value / speed:.4g} m per count"
+            text += f"; the sticks' {speed:.5g} count/s correspond to it at {stated.value / speed:.4g} m per count"
         return [Finding("belt-speed-unit", text)]
     if is_possible_speed(stated, speed) or not math.isfinite(speed):
         return []
-    text += f"but the mass sticks at {speed:.4g} m/s: the record's is used"
+    text += f"but the mass sticks at {speed:.4g} m/s, which is used"
     sd = with_error(stated).sd
     return [Finding("belt-speed", text, speed, stated.value, abs(speed - stated.value) / sd if sd else math.nan)]
 

@@ -282,7 +282,7 @@ class Kinematics(SmoothingSummary):
             "error of one position": format_length(self.noise, self.unit),
             "counts lost": f"{self.lost_counts} times" if self.lost_counts else "",
             "velocity steps": str(len(self.kicks)) if self.kicks else "",
-            "samples left out": str(int(self.missing.sum())) if self.faults else "",
+            "samples omitted": str(int(self.missing.sum())) if self.faults else "",
             "findings": "; ".join(finding.text for finding in self.findings),
         }
         return {name: text for name, text in texts.items() if text}

@@ -152,7 +152,7 @@ def from_recording(
         raise InputError(f"times is {times!r}", "--times", f"known: {', '.join(TIMES)}")
     recorded, positions = recording.time, recording.position
     if recorded.size < LEAST:
-        raise InputError(f"holds {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
+        raise InputError(f"has {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
     time = recorded if times == "recorded" else nominal_times(recording, anchor) if grid is None else grid
     check_numbers(time, positions, where)
@@ -182,7 +182,7 @@ def check_numbers(time: Array, position: Array, where: str) -> None:
         finite = np.isfinite(values)
         if not finite.all():
             index = int(np.argmin(finite))
-            raise InputError(f"{name} is {values[index]} at sample {index}", where, "remove or mend that sample")
+            raise InputError(f"{name} is {values[index]} at sample {index}", where, "remove or correct that sample")
     steps = np.diff(time)
     if not (steps > 0).all():
         index = int(np.argmin(steps > 0)) + 1

@@ -50,7 +50,7 @@ def parse_window(window: int | str, order: int | None, series: Series) -> Settin
 def _parse_samples(text: str, series: Series) -> int:
     match = re.fullmatch(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(us|ms|s)?", text)
     if match is None:
-        raise InputError(f"window is {text!r}", "--window", "give auto, an odd number of samples, or 20ms")
+        raise InputError(f"window is {text!r}", "--window", "use auto, an odd number of samples, or 20ms")
     if match[2] is None:
         if not match[1].isdigit():
             raise InputError(f"window is {text!r}", "--window", "give a whole number of samples, or a unit: 20ms")
@@ -84,14 +84,14 @@ def check_window(window: int, order: int) -> None:
         raise InputError(
             f"window is {window}; need an odd number above order {order}",
             "--window",
-            f"take {max(window + 1 - window % 2, order + 1 + order % 2)}",
+            f"use {max(window + 1 - window % 2, order + 1 + order % 2)}",
         )
 
 
 def reject_window(setting: Setting, method: str, why: str) -> None:
     """Raise InputError, with the text ``why``, if a window or an order was given to a method without one."""
     if setting.window is not None or setting.order is not None:
-        raise InputError(why, f"--method {method}", "leave out --window and --order, or take --method sg")
+        raise InputError(why, f"--method {method}", "omit --window and --order, or use --method sg")
 
 
 def parse_belt_speed(belt_speed: float | str) -> float | None:

@@ -12,7 +12,7 @@ from stickslip.output import atomic
 PAGE = "atlas.md"
 HEAD = """# Atlas
 
-The figures of the thesis whose rig, laws and analyses this project implements, computed anew by `rig-sim atlas`.  Each
+The figures of the thesis whose rig, laws and analyses this project implements, recomputed by `rig-sim atlas`.  Each
 table sets what the thesis states beside what is computed; most of its numbers were read off a plot, so that one unit of
 the last digit counts as agreement.  Quantities are dimensionless (m = k = Fs = 1) unless an axis names a unit.
 """
@@ -50,7 +50,7 @@ def redraw(
     numbers = list(numbers)
     files = {number: folder / f"figure-{number}.png" for number in numbers if number in ENTRIES}
     if folder.exists() and not folder.is_dir():
-        raise InputError("is no folder", str(folder), "give the name of a folder (-o)")
+        raise InputError("is not a folder", str(folder), "give the name of a folder (-o)")
     if not folder.exists() and not folder.absolute().parent.is_dir():
         raise InputError("its folder does not exist", str(folder), f"make {folder.absolute().parent} first")
     for file in (*files.values(), folder / PAGE):

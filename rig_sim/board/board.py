@@ -52,7 +52,7 @@ class SimulatedBoard:
             raise InputError(
                 "the scene has no encoder, so a board has nothing to count",
                 f"scene {scene.name}",
-                "give encoder.lines_per_rev and encoder.circumference, or take the scene rig",
+                "give encoder.lines_per_rev and encoder.circumference, or use the scene rig",
             )
         self.scene = scene
         self.rate_hz = 1000

@@ -63,7 +63,7 @@ class QuadratureEncoder:
         """
         y, origin = self._insert_turning_points(nodes)
         if not np.abs(y).max() < LARGEST_COUNT * self.delta:
-            raise InputError(f"the mass is at {float(y[-1]):g} m, beyond any encoder", "encoder", "mend the scene")
+            raise InputError(f"the mass is at {float(y[-1]):g} m, beyond any encoder", "encoder", "correct the scene")
         n = np.floor(y / self.delta).astype(np.int64)
         jumps = np.diff(n, prepend=self.n)
         self.n = int(n[-1])
@@ -86,7 +86,7 @@ class QuadratureEncoder:
             raise InputError(
                 f"{int(edges.sum())} edges in one stretch of motion",
                 "encoder",
-                "lower encoder.vibration, vibration_hz or lines_per_rev, or take the decoder x4",
+                "lower encoder.vibration, vibration_hz or lines_per_rev, or use the decoder x4",
             )
         within = np.arange(int(last[-1])) - np.repeat(last - edges, edges)  # 0, 1 ... inside each piece
         visited = np.repeat(n - jumps, edges) + np.repeat(np.sign(jumps), edges) * (within + 1)

@@ -49,7 +49,7 @@ def count_finished(values: dict[str, Any]) -> Iterator[None]:
 @contextmanager
 def refuse_search_plot(values: dict[str, Any]) -> Iterator[None]:
     if values.get("method") == "search" and values.get("plot") is not None:
-        raise InputError("draws --method=ogy alone", "--plot", "drop one of the two")
+        raise InputError("draws --method=ogy alone", "--plot", "remove one of the two")
     yield
 
 

@@ -161,6 +161,6 @@ def read_numbers(type_: Any, tokens: Sequence[Token]) -> float | list[float]:
     try:
         numbers = [float(part) for part in parts]
     except ValueError:
-        problem = f"{','.join(texts)!r} holds something that is no number"
+        problem = f"{','.join(texts)!r} contains something that is not a number"
         raise InputError(problem, tokens[0].keyword or "", "write 0.1,0.2") from None
     return numbers if len(parts) > 1 or "[" in texts[0] else numbers[0]

@@ -79,7 +79,7 @@ def compare(
         raise InputError(f"is {until:g}", "--until", "give a positive number")
     for method in methods:
         if method not in METHODS:
-            raise InputError(f"unknown method {method!r}", "methods", f"take some of {', '.join(METHODS)}")
+            raise InputError(f"unknown method {method!r}", "methods", f"use some of {', '.join(METHODS)}")
     if scene.has_memory():
         scene.flow()  # says what covers such a scene
     swing = 2.0 * math.pi * math.sqrt(scene.mass.m / scene.spring.k)
@@ -200,7 +200,7 @@ def describe_doubts(lists: Lists, until: float) -> str:
             reason = f"{note}, which {number} of {len(lists) - 1} others have" + describe_simultaneous(
                 lists[method, setting]
             )
-            words.append(f"; {method} {setting} is no reference: {reason}")
+            words.append(f"; {method} {setting} is not a reference: {reason}")
     return "".join(words)
 
 

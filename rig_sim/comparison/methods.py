@@ -23,11 +23,11 @@ def choose_phases(
     ``rtol``, of dop853, is relative and absolute: default and least `DOP853_RTOL`.
     """
     if method not in METHODS:
-        raise InputError(f"unknown method {method!r}", "--method", f"take one of {', '.join(METHODS)}")
+        raise InputError(f"unknown method {method!r}", "--method", f"use one of {', '.join(METHODS)}")
     if step is not None and method != "rk4-henon":
-        raise InputError(f"{method} has no step", "--step", "drop it, or take --method=rk4-henon")
+        raise InputError(f"{method} has no step", "--step", "remove it, or use --method=rk4-henon")
     if rtol is not None and method != "dop853":
-        raise InputError(f"{method} has no tolerance", "--rtol", "drop it, or take --method=dop853")
+        raise InputError(f"{method} has no tolerance", "--rtol", "remove it, or use --method=dop853")
     if method == "exact":
         return sample_phase, ""
     from rig_sim.comparison.stepping import sample_phase as sample_by

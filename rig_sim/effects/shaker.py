@@ -52,7 +52,7 @@ def add_shaker(flow: Flow, a: float, phi: float) -> Flow:
         if abs(math.sin(phi)) > NO_SHIFT:
             raise ValueError(
                 f"the mass would creep, not oscillate (omega {Omega.real:.3g}, delta {Omega.imag:.3g}), "
-                "and have no phase to shift"
+                "so it has no phase to shift"
             )
         return flow._replace(c=flow.c - a * math.cos(phi))
     k = flow.m * (Omega.real**2 + Omega.imag**2)

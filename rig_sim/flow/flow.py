@@ -54,7 +54,7 @@ def validate(flow: Flow) -> None:
         if not math.isfinite(number):
             raise ValueError(f"{name} is {number}; need a finite number")
         if abs(number) > LARGEST or (name in POSITIVE_FIELDS and 0.0 < number < SMALLEST):
-            raise ValueError(f"{name} is {number}; beyond {SMALLEST:g} to {LARGEST:g}: choose other units")
+            raise ValueError(f"{name} is {number}, outside {SMALLEST:g} to {LARGEST:g}: choose other units")
         if name in POSITIVE_FIELDS and not number > 0.0:
             raise ValueError(f"{name} is {number}; need a number above 0")
         if name in NON_NEGATIVE_FIELDS and number < 0.0:
@@ -71,7 +71,7 @@ def validate(flow: Flow) -> None:
         fall = steepest_fall(flow)
         if flow.droop * fall >= 1.0:
             raise ValueError(
-                f"droop is {flow.droop:g} m/s: friction falls faster than the belt yields, so the force is not unique; "
+                f"droop is {flow.droop:g} m/s: friction falls faster than the belt slows, so the force is not unique; "
                 f"need less than {1.0 / fall:g}"
             )
 

@@ -85,7 +85,7 @@ OUTCOMES = {
     COMPLETED: Outcome("completed", ""),
     FORCE_REVERSAL: Outcome(
         "force reversal",
-        "the linear curve changes sign at slip speed Fs/G_slip: lower G_slip, slow the belt or take another law",
+        "the linear curve changes sign at slip speed Fs/G_slip: lower G_slip, slow the belt or use another law",
     ),
     STEP_LIMIT: Outcome("step limit", "raise the number of steps allowed, or shorten the time"),
     EVENT_RATE: Outcome(
@@ -93,7 +93,7 @@ OUTCOMES = {
         "events follow each other in zero time: the motion stays on a mode's edge; change its start or parameters",
     ),
     NOT_FINITE: Outcome("not finite", "a number overflowed or was not a number: check the scene's magnitudes"),
-    LIST_FULL: Outcome("list full", "take the events found so far and call again"),
+    LIST_FULL: Outcome("list full", "use the events found so far and call again"),
     RECURRED: Outcome("recurred", "the last events repeat periodically: `rig_sim.integrate.events` lists them"),
     CURVE_END: Outcome(
         "end of the curve",

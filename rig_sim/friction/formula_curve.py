@@ -161,7 +161,7 @@ def refine_cubics(curve: _ParametrisedFormula, ends: "Array", scale: float, fast
         if lower.size and (np.min(upper - lower) < SHORTEST * ends[-1] or number + 2 * lower.size > MOST_PIECES):
             hardest = middle[np.argmin(upper - lower)]
             position = curve.formula.place(float(hardest), curve.parameters)
-            problem = f"changes too abruptly to be followed to {TOLERANCE:g} by {MOST_PIECES} cubics, {position}"
+            problem = f"changes too abruptly to be approximated to {TOLERANCE:g} by {MOST_PIECES} cubics, {position}"
             raise InputError(problem, "formula", "choose values, or a form, that change over a wider range of speeds")
         lower, upper = np.concatenate((lower, middle)), np.concatenate((middle, upper))
     order = np.argsort(np.concatenate([piece.begin for piece in accepted]))

@@ -125,7 +125,7 @@ def make_player(scene: Scene, phases: SamplePhase, max_steps: int) -> _Player:
     if scene.coupling is None:
         return ScenePlayer(scene, max_steps=max_steps, phases=phases)
     if phases is not sample_phase:
-        raise InputError("plays one mass alone", "--method", "two masses have the method exact")
+        raise InputError("simulates only one mass", "--method", "use the method exact for two masses")
     return TwoMassPlayer(scene, max_steps=max_steps)
 
 

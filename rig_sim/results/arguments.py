@@ -86,15 +86,15 @@ def parse_range(over: "str | tuple[str, Sequence[float]]", *, of_scene: bool = T
     key, equals, span = over.partition("=")
     parts = span.split(":")
     if not equals or (of_scene and "." not in key) or not key.strip() or len(parts) not in (2, 3):
-        raise InputError(f"{over!r} is no range of a parameter", "--over", FORM, python=IN_PYTHON)
+        raise InputError(f"{over!r} is not a range of a parameter", "--over", FORM, python=IN_PYTHON)
     try:
         start, stop = float(parts[0]), float(parts[1])
         count = int(parts[2]) if len(parts) == 3 else NUMBER
     except ValueError:
-        problem = f"{over!r} holds something that is no number"
+        problem = f"{over!r} contains something that is not a number"
         raise InputError(problem, "--over", FORM, python=IN_PYTHON) from None
     if not (math.isfinite(start) and math.isfinite(stop)) or start == stop:
-        raise InputError(f"{over!r} is no interval", "--over", "give two different finite numbers")
+        raise InputError(f"{over!r} is not an interval", "--over", "give two different finite numbers")
     if not 2 <= count <= MOST_VALUES:
         raise InputError(f"{count} values", "--over", f"give 2 to {MOST_VALUES}")
     return ParameterRange(key.strip(), start, stop, count)
@@ -105,7 +105,7 @@ def parse_listed_range(over: Any) -> ParameterRange:
         key, numbers = over
         values = tuple(float(value) for value in numbers)
     except (TypeError, ValueError):
-        raise InputError(f"{over!r:.60} is no range of a parameter", "--over", FORM, python=IN_PYTHON) from None
+        raise InputError(f"{over!r:.60} is not a range of a parameter", "--over", FORM, python=IN_PYTHON) from None
     if not 2 <= len(values) <= MOST_VALUES or not all(math.isfinite(value) for value in values):
         raise InputError(f"{len(values)} values", "--over", f"give 2 to {MOST_VALUES}, all of them finite numbers")
     return ParameterRange(str(key), values[0], values[-1], len(values), values)

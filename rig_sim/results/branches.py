@@ -116,7 +116,7 @@ class Continuation(Result, special_points.Continuation):
         ]
         lines += point_lines or ["no special point: none to find again in the draws"]
         number, refused = self.draws.number, self.draws.refused
-        return lines + ([f"{refused} of {number} draws are no rig and were left out"] if refused else [])
+        return lines + ([f"{refused} of {number} draws are physically impossible and were omitted"] if refused else [])
 
     def draw(self, ax: "Axes") -> None:
         for branch in self.branches:
@@ -166,7 +166,7 @@ def continue_(
         ``fit-friction --save-scene`` writes.  A key that no longer has its fitted value is not drawn.  In Python
         `fitting.rank(...).save_scene(path)` writes it.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------
@@ -194,7 +194,7 @@ def continue_(
     first = swept.with_value(span.start)
     if first.coupling is not None:
         if draws is not None:
-            raise InputError("--draws with two masses", "--draws", "leave it out")
+            raise InputError("--draws with two masses", "--draws", "omit it")
         return follow_two_masses(SweptScene(first, span.key), span, progress)
     changes = None if draws is None else draw_changes(first, draws, first.name)
     result = continuation(swept.flow, span.values(), progress=report_to("following", span.number, progress))
@@ -220,7 +220,7 @@ def follow_custom_system(
     system_at: Callable[[float], FormulaMap], span: ParameterRange, draws: int | None, progress: Stages
 ) -> Continuation:
     if draws is not None:
-        raise InputError("--draws of a system of one's own", "--draws", "leave it out")
+        raise InputError("--draws of a system of one's own", "--draws", "omit it")
     name = type(system_at(span.start)).__name__
     return follow_maps(lambda value: require_interval(system_at(value)), span, name, progress)
 

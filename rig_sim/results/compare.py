@@ -74,9 +74,9 @@ def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) 
         A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass.  In Python also what `rig_sim.scene`
         returns.
     until : float or str
-        End of the motion, which begins at 0: in the scene's unit of time, or with a unit, '5 min'.
+        End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------

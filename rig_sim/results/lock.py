@@ -200,11 +200,11 @@ def lock(
         Largest change of the drive's amplitude, as a fraction of it, from 0 to 1.
     method : str
         'ogy' (Ott, Grebogi and Yorke: a change at each landing), or 'search' (the thesis's: raise the amplitude until
-        the section repeats, then take it back).
+        the section repeats, then undo it).
     events : int
         Landings after which the control gives up.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------
@@ -289,7 +289,7 @@ def search_orbit(f: FormulaMap, start: Array, period: int, budget: float, progre
         orbit = {"x_slip": x_slip, "t": search.points[:, 0], "x": search.points[:, 1]}
     data = {"orbit": orbit, "events_to_lock": search.events, "events": search.events, "kept": search.kept}
     data |= {"du_max": search.change, "du_final": 0.0, "locked": search.stays}
-    advice = "without the change the motion leaves the orbit: take the method ogy"
+    advice = "without the change the motion leaves the orbit: use the method ogy"
     return data | ({"outcome": "locked"} if search.stays else {"outcome": "locked while changed", "advice": advice})
 
 

@@ -293,7 +293,7 @@ def parse_places(d: Any) -> list[float]:
     try:
         return [] if d is None else [float(d)] if isinstance(d, int | float) else [float(number) for number in d]
     except (TypeError, ValueError):
-        problem = f"{d!r:.60} holds something that is no number"
+        problem = f"{d!r:.60} contains something that is not a number"
         raise InputError(problem, "--d", "write 0.1,0.2", python="give a number, or several") from None
 
 
@@ -330,7 +330,7 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     cells : int
         Cells that the interval is divided into.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------
@@ -375,7 +375,7 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     events : int
         Events to take the mean over: from one global stick to the next, landings, or steps.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------
@@ -384,7 +384,7 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     Raises
     ------
     InputError
-        One mass without a drive, a start that is no global stick, or a number of events out of range.
+        One mass without a drive, a start that is not a global stick, or a number of events out of range.
 
     Examples
     --------
@@ -396,7 +396,7 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     number = parse_whole(events, "--events", BLOCKS, MOST_EVENTS)
     if isinstance(scene, FormulaMap):
         result = exponent(scene.motion(scene.start), number, progress)
-        advice = "no exponent; take another start or other parameters"
+        advice = "no exponent; use another start or other parameters"
         return Exponent(**vars(result), per="step", name=type(scene).__name__, advice=advice)
     loaded = load_scene(scene)
     if loaded.coupling is None:

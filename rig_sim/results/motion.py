@@ -189,7 +189,7 @@ def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, ma
         A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
         `rig_sim.scene` returns.
     until : float or str
-        End of the motion, which begins at 0: in the scene's unit of time, or with a unit, '5 min'.
+        End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     since : float or str
         List only events at or after this time.
     max_steps : int
@@ -242,11 +242,11 @@ def run(
         A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
         `rig_sim.scene` returns.
     until : float or str
-        End of the motion, which begins at 0: in the scene's unit of time, or with a unit, '5 min'.
+        End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     rate : float or str
         Samples per unit of time, or '1 kHz'.
     output : str or Path, optional
-        File to write, .h5 or .csv; the motion need not fit into memory then.
+        File to write, .h5 or .csv; the motion is then not kept in memory.
     method : str
         'exact', or for comparison 'rk4-henon' (Runge-Kutta with Henon's events) or 'dop853' (scipy).
     step : float or str, optional

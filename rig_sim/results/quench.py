@@ -112,7 +112,7 @@ def quench(scene: SceneLike, *, progress: Stages = silent) -> Quench:
         A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass with a drive.  In Python also what
         `rig_sim.scene` returns.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------

@@ -104,7 +104,7 @@ def read_rows(file: IO[bytes], path: Path, header: bytes) -> tuple[list[dict[str
 
 
 def reject_foreign(path: Path) -> InputError:
-    return InputError("exists and holds something else", str(path), "name a file that does not exist")
+    return InputError("exists and contains something else", str(path), "name a file that does not exist")
 
 
 def parse_line(line: bytes) -> dict[str, Any] | None:

@@ -44,8 +44,8 @@ def make_stick_map(scene: Scene, budget: StepBudget | None = None) -> StickMap:
 def load_driven_start(scene: Scene) -> tuple[Flow, float, float]:
     """Return the flow and the start (x, v) of a scene of one driven mass."""
     if scene.drive is None:
-        do = "set drive.u0 and drive.omega, or take the scene forced"
-        python = f"write rig_sim.scene({scene.name!r}, **{{'drive.u0': 0.2, 'drive.omega': 1.6}}), or take 'forced'"
+        do = "set drive.u0 and drive.omega, or use the scene forced"
+        python = f"write rig_sim.scene({scene.name!r}, **{{'drive.u0': 0.2, 'drive.omega': 1.6}}), or use 'forced'"
         raise InputError("has no drive, and this is for a driven mass", f"scene {scene.name}", do, python=python)
     flow = scene.flow()
     try:
@@ -129,5 +129,5 @@ def require_interval(f: FormulaMap) -> FormulaMap:
     if len(f.scale) != 1 or not math.isfinite(f.hi - f.lo):
         do = "give its interval"
         python = f"write super().__init__(..., interval=(lo, hi)) in {type(f).__name__}, a map of one coordinate"
-        raise InputError("is no map of an interval", type(f).__name__, do, python=python)
+        raise InputError("is not a map of an interval", type(f).__name__, do, python=python)
     return f

@@ -173,10 +173,10 @@ def parse_band(band: "str | tuple[float, float]") -> tuple[float, float]:
     try:
         first, last = ends
     except (TypeError, ValueError):
-        raise InputError(f"{band!r} is no band", "--band", do, python=python) from None
+        raise InputError(f"{band!r} is not a band", "--band", do, python=python) from None
     low, high = (parse_number(end, "angular frequency", "--band") for end in (first, last))
     if not 0.0 <= low < high < math.inf:
-        raise InputError(f"{band!r} is no band", "--band", "give 0 <= LOW < HIGH, in rad/s")
+        raise InputError(f"{band!r} is not a band", "--band", "give 0 <= LOW < HIGH, in rad/s")
     return low, high
 
 

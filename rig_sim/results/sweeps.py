@@ -146,7 +146,7 @@ def sweep(
         File of the finished values: written while they are found, and read when the same call is made again after an
         interruption, so that none is computed twice.
     progress : callable, optional
-        Called with the stage, what is done of it, and its whole.
+        Called with the stage, the work done and the total work.
 
     Returns
     -------
@@ -272,5 +272,5 @@ def read_finished(file: ResumeFile) -> dict[float, list[AttractorAt]]:
                 for stored in row["attractors"]
             ]
     except (KeyError, TypeError):
-        raise InputError("holds a row that is not of a sweep", str(file.path), "name another file") from None
+        raise InputError("contains a row that is not of a sweep", str(file.path), "name another file") from None
     return finished

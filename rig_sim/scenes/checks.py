@@ -40,7 +40,7 @@ def check_together(scene: Scene, where: str) -> None:
     if friction is None:
         for effect in ("wear", "scatter"):
             if getattr(scene, effect) is not None:
-                raise InputError(f"{effect} without friction", where, f"add a friction section or drop {effect}")
+                raise InputError(f"{effect} without friction", where, f"add a friction section or remove {effect}")
     else:
         if friction.G_stick is not None and friction.d is not None:
             raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -static Fs/d")
@@ -63,18 +63,20 @@ def check_together(scene: Scene, where: str) -> None:
     if scene.joint is not None and (scene.belt is None or scene.belt.length is None):
         raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
     if scene.belt is not None and scene.belt.ripple_hz is not None and scene.belt.ripple is None:
-        raise InputError("belt.ripple_hz without belt.ripple", where, "give the ripple's amplitude, or drop ripple_hz")
+        raise InputError(
+            "belt.ripple_hz without belt.ripple", where, "give the ripple's amplitude, or remove ripple_hz"
+        )
     if scene.belt is not None and scene.belt.ripple:
         if scene.belt.ripple_hz is None:
             raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
         if scene.drive is not None:
-            raise InputError("belt.ripple beside a drive", where, "drop one: the integrator supports one harmonic")
+            raise InputError("belt.ripple with a drive", where, "remove one: the integrator supports one harmonic")
     if scene.droop is not None:
         if friction is not None and not friction.law:
             key = "friction.law = 0" if friction.formula is None else "friction.formula"
-            raise InputError(f"droop with {key} is not modelled", where, "drop droop, or take law 1 to 6")
+            raise InputError(f"droop with {key} is not modelled", where, "remove droop, or use law 1 to 6")
         if scene.belt is None or friction is None:
-            raise InputError("droop without belt and friction", where, "add them or drop droop")
+            raise InputError("droop without belt and friction", where, "add them or remove droop")
         _check_droop(scene, scene.droop.fraction, where)
     if scene.shaker is not None:
         try:
@@ -84,9 +86,9 @@ def check_together(scene: Scene, where: str) -> None:
             raise InputError(problem, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
     for effect in ("slip_loss", "gaps"):
         if getattr(scene, effect) is not None and scene.encoder is None:
-            raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
+            raise InputError(f"{effect} without an encoder", where, f"add an encoder section or remove {effect}")
     if scene.belt is not None and scene.belt.channel and scene.encoder is None:
-        raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
+        raise InputError("belt.channel without an encoder", where, "add an encoder section or remove belt.channel")
     if not math.isfinite(scene.spring.k / scene.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")
 
@@ -94,8 +96,8 @@ def check_together(scene: Scene, where: str) -> None:
 def _check_curve(friction: Friction, where: str) -> None:
     if friction.law != 0:
         if friction.contact is not None:
-            problem_text = f"friction.contact beside law {friction.law}, which has its own contact"
-            raise InputError(problem_text, where, "drop it, or take law 0")
+            problem_text = f"friction.contact with law {friction.law}, which has its own contact"
+            raise InputError(problem_text, where, "remove it, or use law 0")
         return
     do = "give friction.curve = [[0, F], [s, F], ...]: slip speed in m/s from 0, friction in N"
     if friction.curve is None:
@@ -106,9 +108,9 @@ def _check_curve(friction: Friction, where: str) -> None:
         raise InputError(f"friction.curve: {problem}", where, do)
     for number in (number for point in friction.curve for number in point):
         if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
-            raise InputError(f"friction.curve holds {number:g}", where, "choose other units")
+            raise InputError(f"friction.curve contains {number:g}", where, "choose other units")
     if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
-        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or drop friction.contact")
+        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or remove friction.contact")
 
 
 def _check_memory(scene: Scene, friction: Friction, where: str) -> None:
@@ -129,12 +131,12 @@ def _check_memory(scene: Scene, friction: Friction, where: str) -> None:
         raise InputError(f"friction.law {friction.law} without a moving belt", where, "set belt.speed")
     for section in ("coupling", "shaker", "droop"):
         if getattr(scene, section) is not None:
-            raise InputError(f"{section} beside law {friction.law} is not modelled", where, f"drop {section}")
+            raise InputError(f"{section} with law {friction.law} is not modelled", where, f"remove {section}")
     for key in ("contact", "curve"):
         if getattr(friction, key) is not None:
-            raise InputError(f"friction.{key} beside law {friction.law}", where, f"drop {key}, or take law 0")
+            raise InputError(f"friction.{key} with law {friction.law}", where, f"remove {key}, or use law 0")
     if friction.static != 1.0:
-        problem = f"friction.static beside law {friction.law}, whose break-away follows from its memory"
+        problem = f"friction.static with law {friction.law}, whose break-away follows from its memory"
         raise InputError(problem, where, "drop static")
 
 
@@ -146,7 +148,7 @@ def _check_formula(friction: Friction, where: str) -> None:
     names = formula.parameters if formula is not None else ()
     for name in names:
         if name in OWN_KEYS:
-            problem = f"friction.formula has a parameter {name}, which is the section's own: {OWN_KEYS[name]}"
+            problem = f"friction.formula has a parameter {name}, which is a key of the section: {OWN_KEYS[name]}"
             raise InputError(problem, where, "give the parameter another name")
         if name not in friction.formula_values():
             others = [key for key in friction.model_fields_set if key not in {*OWN_KEYS, *names}]
@@ -154,7 +156,7 @@ def _check_formula(friction: Friction, where: str) -> None:
             do = f"give {name}" + (f"; {close}" if close.startswith("did") else "")
             raise InputError(f"friction.{name} is missing, which the formula needs", where, do)
     if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
-        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or drop friction.contact")
+        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or remove friction.contact")
 
 
 def _check_formula_values(scene: Scene, where: str) -> None:
@@ -177,19 +179,19 @@ def _check_masses(scene: Scene, where: str) -> None:
         return
     for section in scene.terms():
         if section not in TWO_MASS_TERMS:
-            raise InputError(f"{section} beside coupling: not modelled for two masses", where, f"drop {section}")
+            raise InputError(f"{section} with coupling: not modelled for two masses", where, f"remove {section}")
     for key in ("start", "length", "ripple", "ripple_hz", "channel"):
         if scene.belt is not None and getattr(scene.belt, key):
-            raise InputError(f"belt.{key} beside coupling: not modelled for two masses", where, f"drop belt.{key}")
+            raise InputError(f"belt.{key} with coupling: not modelled for two masses", where, f"remove belt.{key}")
     if scene.friction is not None and scene.friction.law_record().contact != "jump":
         problem = f"friction.law is {scene.friction.law}, a ramp, which is not modelled for two masses"
-        raise InputError(problem, where, "take law 1, 3 or 5")
+        raise InputError(problem, where, "use law 1, 3 or 5")
     if scene.friction is not None and not scene.friction.law:
         key = "friction.law is 0" if scene.friction.formula is None else "friction.formula is given"
-        raise InputError(f"{key}, which is not modelled for two masses", where, "take law 1, 3 or 5")
+        raise InputError(f"{key}, which is not modelled for two masses", where, "use law 1, 3 or 5")
     start_forms = [form for form in STARTS if any(key in start_keys for key in form)]
     if STARTS[0] in start_forms:
-        raise InputError("start.x or start.v beside coupling", where, "give start.x1, v1, x2, v2, or start.d")
+        raise InputError("start.x or start.v with coupling", where, "give start.x1, v1, x2, v2, or start.d")
     if len(start_forms) > 1:
         problem = f"start has {start_forms[0][0]} and {start_forms[1][0]}"
         raise InputError(problem, where, "keep one of: x1, v1, x2, v2; d; attractor")
@@ -199,16 +201,16 @@ def _check_droop(scene: Scene, fraction: float, where: str) -> None:
     """Refuse a droop that leaves the force undetermined, in terms of the scene's own keys."""
     flow = scene.model_copy(update={"shaker": None}).flow()
     if flow.droop > 0.0 and flow.static != 1.0:
-        raise InputError(f"droop beside friction.static = {flow.static:g}", where, "drop one: with droop it must be 1")
+        raise InputError(f"droop with friction.static = {flow.static:g}", where, "remove one: with droop it must be 1")
     if flow.droop > 0.0 and flow.Fs == 0.0:
-        raise InputError("droop with friction.Fs = 0: nothing loads the belt", where, "give Fs, or drop droop")
+        raise InputError("droop with friction.Fs = 0: nothing loads the belt", where, "give Fs, or remove droop")
     fall = steepest_fall(flow)
     if flow.droop * fall >= 1.0:
         largest = fraction / (flow.droop * fall)
-        problem = f"droop.fraction is {fraction:g}: friction would fall faster than the belt gives way"
-        do = f"give less than {largest:.4g}" + ("" if largest >= 1e-3 else ", or drop droop")
+        problem = f"droop.fraction is {fraction:g}: friction would fall faster than the belt slows"
+        do = f"give less than {largest:.4g}" + ("" if largest >= 1e-3 else ", or remove droop")
         raise InputError(problem, where, do + ", or a slower belt, or friction that falls less (gamma, G_slip)")
     try:
         validate(flow)
     except ValueError as error:
-        raise InputError(str(error), where, "change that value, or drop droop") from None
+        raise InputError(str(error), where, "change that value, or remove droop") from None

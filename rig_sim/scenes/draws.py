@@ -37,7 +37,7 @@ def draw_changes(scene: Scene, number: int, where: str) -> list[dict[str, object
     unit = np.where(scale > 0.0, scale, 1.0)
     size, axes = np.linalg.eigh(spread / unit[:, None] / unit)
     if size[0] < -ROUNDING * max(float(size[-1]), 1.0) * len(names):
-        raise InputError("fit.covariance is no covariance: a variance below 0", where, "write the scene anew")
+        raise InputError("fit.covariance is not a covariance: a variance below 0", where, "write the scene again")
     root = unit[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
     rng = np.random.default_rng(scene.seed)
     normal = rng.standard_normal((number, len(names)))
@@ -80,7 +80,7 @@ def check_covariance(fit: FitSection, where: str) -> Array:
     matrix = np.array(rows)
     error = np.sqrt(np.abs(np.diag(matrix)))
     if np.any(np.diag(matrix) < 0) or np.any(np.abs(matrix - matrix.T) > ROUNDING * np.outer(error, error)):
-        raise InputError("fit.covariance is not symmetric, or has a variance below 0", where, "write the scene anew")
+        raise InputError("fit.covariance is not symmetric, or has a variance below 0", where, "write the scene again")
     return matrix
 
 

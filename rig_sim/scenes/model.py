@@ -58,12 +58,12 @@ class Scene(Section):
         ramp's width stays.
         """
         if self.coupling:
-            do = "drop the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
+            do = "remove the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
             python = "use rig_sim.events, run, fixed_point, continue_, map, sweep, basins or lyapunov"
             raise InputError("has two masses, and this is for one", f"scene {self.name}", do, python=python)
         if self.has_memory():
             problem = "has a friction law with memory, which this analysis does not cover"
-            do = "use run, events, cycle or fixed-point, or take law 1 to 6"
+            do = "use run, events, cycle or fixed-point, or use law 1 to 6"
             python = "use rig_sim.run, events, cycle or fixed_point"
             raise InputError(problem, f"scene {self.name}", do, python=python)
         return self._one_mass_flow(belt_running=belt_running, factor=factor)
@@ -83,8 +83,8 @@ class Scene(Section):
     def two_mass_flow(self) -> TwoMassFlow:
         """Return the equations of motion of two masses; raises InputError of a scene with one mass."""
         if self.coupling is None:
-            do = "set coupling.a and coupling.b, or take the scene two-mass"
-            python = f"write rig_sim.scene({self.name!r}, coupling={{'a': 1.2, 'b': 1.3}}), or take 'two-mass'"
+            do = "set coupling.a and coupling.b, or use the scene two-mass"
+            python = f"write rig_sim.scene({self.name!r}, coupling={{'a': 1.2, 'b': 1.3}}), or use 'two-mass'"
             raise InputError("has one mass, and this is for two", f"scene {self.name}", do, python=python)
         return TwoMassFlow(self._one_mass_flow(), float(self.coupling.a), float(self.coupling.b))
 

@@ -90,7 +90,7 @@ def scene(source: "str | Path | Scene", **changes: object) -> Scene:
     Raises
     ------
     InputError
-        No such scene, a file that is no TOML, an unknown section or key (with its nearest neighbour), a value that is
+        No such scene, a file that is not TOML, an unknown section or key (with its nearest neighbour), a value that is
         no finite number or out of its range (of any number: 0, or from 1e-100 to 1e100 in size): each names the
         file and the key.
 
@@ -129,7 +129,7 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
     for setting in settings or ():
         key, equals, value = setting.partition("=")
         if not equals or not key.strip() or not value.strip() or "\n" in value.strip():
-            raise InputError(f"{setting!r} is no change of a scene", "--set", FORM, python=IN_PYTHON)
+            raise InputError(f"{setting!r} is not a change of a scene", "--set", FORM, python=IN_PYTHON)
         changes[key.strip()] = parse_value(value.strip())
     return changes
 
@@ -170,16 +170,16 @@ def read_source(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
         if len(data) > LARGEST_FILE:
-            raise InputError(f"is larger than any scene: over {LARGEST_FILE} bytes", where, "give a scene's TOML file")
+            raise InputError(f"is too large for a scene: over {LARGEST_FILE} bytes", where, "give a scene's TOML file")
         content = {
             name: dict(keys) if isinstance(keys, dict) else keys for name, keys in parse_toml(data, where).items()
         }
     except FileNotFoundError:
-        do = f"check the path, or take a built-in scene: {', '.join(builtin_names())}"
+        do = f"check the path, or use a built-in scene: {', '.join(builtin_names())}"
         raise InputError("no such file", where, do) from None
     except UnicodeDecodeError:
         do = "give a scene's TOML file; of a run, fit-friction RUN.h5 --save-scene FILE.toml writes one"
-        raise InputError("cannot be read: it is no text file", where, do) from None
+        raise InputError("cannot be read: it is not a text file", where, do) from None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where, "give the path of a TOML file") from None
     content.setdefault("name", path.stem)

@@ -12,26 +12,26 @@ from stickslip.compute.arrays import Array
 
 
 class FormulaMap:
-    """A system of one's own, given by the method `step`: a map, or a flow from one passage of a section to the next.
+    """A custom system, given by the method `step`: a map, or a flow from one passage of a section to the next.
 
-    A class that derives from this one and defines `step` is taken by `rig_sim.lyapunov` and `rig_sim.lock`; one
-    coordinate with an ``interval`` besides by `rig_sim.map` and `rig_sim.basins`; a function that returns one for each
-    value of a parameter by `rig_sim.sweep` and `rig_sim.continue_`.
+    Derive a class from this one and define `step`.  `rig_sim.lyapunov` and `rig_sim.lock` accept any such system,
+    `rig_sim.map` and `rig_sim.basins` one with a single coordinate and an ``interval``.  `rig_sim.sweep` and
+    `rig_sim.continue_` accept a function that returns a system for each value of a parameter.
 
     Parameters
     ----------
     scale : float or (d,) sequence
-        A size of each coordinate of the state: distances are judged relative to it.
+        A typical size of each coordinate of the state; distances are relative to it.
     start : float or (d,) sequence, optional
         Where motions begin; default 0.3 of the scale.
     turn : float or (d,) sequence, optional
-        Length after which a coordinate begins again, as a phase does; default infinity: it does not.
+        Period of a coordinate, such as a phase; default infinity.
     interval : (float, float), optional
         The interval that a map of one coordinate maps to itself.
     strength : float, optional
-        Size of the parameter that `step` takes a change of: the budget of a control is relative to it.
+        Size of the control parameter; the budget of a control is relative to it.
     unit : int, optional
-        Passages in one oscillation of the system's own: how long it takes to settle.
+        Passages in one oscillation of the system, for the time to settle.
 
     Examples
     --------
@@ -75,14 +75,14 @@ class FormulaMap:
         ----------
         state : (d,) float64
         change : float
-            Of the parameter that controls the system; one without such a parameter leaves it out of account.
+            Change of the control parameter; ignored by a system without one.
 
         Returns
         -------
         state : (d,) array
             NaN where there is none.
         jacobian : (d, d) array or None
-            Derivative of the next state by this one; None has it taken by difference quotients.
+            Derivative of the next state by this one; None to use difference quotients.
         time : float
             1 for a map.
         """

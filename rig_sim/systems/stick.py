@@ -154,7 +154,7 @@ class StickMap:
             problem = (
                 f"step limit: with a coupling of {flow.a:.4g} one event takes more than {MOST_STEPS} integrator steps"
             )
-            raise StepLimitError(problem, "map of two masses", f"take a coupling.a of {largest:.2g} or less")
+            raise StepLimitError(problem, "map of two masses", f"use a coupling.a of {largest:.2g} or less")
         self.flow = flow
         self.hi = largest_stretch(flow)  # m
         self.lo = -self.hi
@@ -213,7 +213,7 @@ class StickMap:
             fr, a, b, starts, times, chained, self._precision, float(self._budget.left), out, work
         )
         if np.any(out.outcome == STEP_LIMIT):
-            do = "take a smaller coupling.a, or fewer cells, values or events"
+            do = "use a smaller coupling.a, or fewer cells, values or events"
             raise self._budget.limit_error("map of two masses", do)
         text = "".join(str(int(letter)) for letter in out.word[: min(letters, WORD)]) + "..." * (letters > WORD)
         return fr.mirror * out.d, out.duration, out.outcome, text

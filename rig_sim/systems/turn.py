@@ -64,7 +64,7 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Work, *, to_the_en
         side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work, to_the_end=to_the_end)
         if side == 0:
             if tau == PURE_SLIP:
-                return Turn("pure slip", "the mass swings without sticking: it stays slower than the belt", p)
+                return Turn("pure slip", "the mass oscillates without sticking: it stays slower than the belt", p)
             if math.isinf(tau):
                 if mode != modes.STICK and linear_terms(fr, mode)[0] < 0.0:
                     return Turn("no cycle", "damping is negative: the motion grows without end", p)

@@ -80,7 +80,7 @@ def test_faults_of_the_line_cost_their_units_and_nothing_else(make_fake, tmp_pat
     found, run = taken(fake, tmp_path, 1900 * unit)
     assert (found.lost, found.crc_errors, found.segments) == (4 * unit, 1, 1)
     assert found.samples + found.lost == 1900 * unit + fake.lead
-    assert any(f"{2 * unit} samples came twice or late" in warning for warning in found.warnings)
+    assert any(f"{2 * unit} samples were repeated or late" in warning for warning in found.warnings)
     assert np.ptp(offsets(fake, run)) == 0
     before = np.flatnonzero(np.diff(np.round(run.time * fake.rate_hz)) > 1)
     assert np.diff(before).tolist() == [99 * unit] * 3

@@ -146,5 +146,5 @@ def test_a_port_that_stays_away_is_reported_at_once_and_ends_in_exit_4(board, tm
     code, out, err = finish(recorder)
     answer = json.loads(out)
     assert (code, answer["ended"]) == (4, "port lost"), err
-    assert any("of the 4 s asked for: the port was lost" in warning for warning in answer["warnings"])
+    assert any("of the requested 4 s were recorded: the port was lost" in warning for warning in answer["warnings"])
     assert_whole(output, answer["samples"])

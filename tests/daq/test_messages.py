@@ -15,7 +15,7 @@ MISTAKES = [
     (lambda: daq.Recording.from_arrays(TIME, np.c_[X, X]), "give one dimension, as in position[:, 0]"),
     (lambda: daq.Recording.from_arrays(TIME, X, mass="500g."), "mass: 'g.' is not a unit of mass"),
     (lambda: daq.Recording.from_arrays(TIME, X, belt_speed="5 cm"), "belt_speed: 'cm' is not a unit of speed"),
-    (lambda: daq.Recording.from_arrays(TIME, X, metres_per_count=1e-6), "or leave metres_per_count out"),
+    (lambda: daq.Recording.from_arrays(TIME, X, metres_per_count=1e-6), "or omit metres_per_count"),
     (lambda: daq.Recording.from_arrays(np.arange("2024-01-01", "2024-01-03", dtype="M8[D]"), [0, 1]), "(t - t[0])"),
     (lambda: daq.Recording.from_arrays(TIME, X).save("run.csv"), "CSV"),
     (lambda: daq.load("table.csv", unit="mm"), "did you mean 'x_unit'?"),

@@ -227,7 +227,7 @@ def test_every_flag_that_an_error_names_is_a_keyword_or_has_another_call_beside_
 MISTAKES = [
     (lambda run: fitting.rank(run.time), "fitting.rank(time, position)"),
     (lambda run: fitting.rank(run, run.position), "give the run alone"),
-    (lambda run: fitting.rank(run.time, run.position[1:]), "time holds 6000 values and position 5999; give one each"),
+    (lambda run: fitting.rank(run.time, run.position[1:]), "time has 6000 values and position 5999; give one each"),
     (lambda run: fitting.rank("nowhere.h5"), "no such file; check the path"),
     (lambda run: fitting.rank([]), "no run; give at least one"),
     (lambda run: fitting.rank(run, laws=7), "laws: unknown law 7; choose 1 to 6"),

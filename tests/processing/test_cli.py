@@ -69,7 +69,7 @@ def test_settings_are_carried_out(typed, path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--window", "40"], "--window: window is 40; need an odd number above order 4; take 41"),
+        (["--window", "40"], "--window: window is 40; need an odd number above order 4; use 41"),
         (["--window", "broad"], "--window: window is 'broad'"),
         (["--method", "spline"], "--method: method is 'spline'; known: auto, segment, rts, sg, fd"),
         (["--times", "guessed"], "--times: times is 'guessed'; known: recorded, nominal"),

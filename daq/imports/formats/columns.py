@@ -77,7 +77,7 @@ def build_table(path: Path, message: bytes, kind: str, content: str) -> Table:
     head, _, numbers = message.partition(b"\n")
     sha256, modified_s, recorded, descriptions = json.loads(head)
     if not descriptions:
-        raise InputError(f"holds no {content}", str(path), "give a file with times and positions in it")
+        raise InputError(f"has no {content}", str(path), "give a file with times and positions in it")
     ends = 8 * np.cumsum([0, *(size for _, size, _ in descriptions)])
     every = [
         Column(name, np.frombuffer(numbers[first:last], "<f8"), None if clock is None else (clock[0], clock[1]))

@@ -49,11 +49,11 @@ def read(path: Path, text: str) -> Table:
     separator = next((_SEPARATORS.get(match[1], "\t") for match in separators if match), "\t")
     end = next((number for number, line in enumerate(lines) if _has_tag(line, _END, separator)), None)
     if end is None:
-        raise InputError("its header does not end", where, "export it again, or delete what stands above the table")
+        raise InputError("its header does not end", where, "export it again, or delete the lines above the table")
     header = _parse_tags(lines[:end], separator)
     segments = [segment for segment in _split_segments(lines, end + 1, separator, where) if segment.rows]
     if not segments:
-        raise InputError("holds no numbers", where, "give a measurement with a channel of positions")
+        raise InputError("has no numbers", where, "give a measurement with a channel of positions")
     first = segments[0]
     decimal = header.get("Decimal_Separator", [""])[0] or _find_decimal(
         first.rows[0]

@@ -37,7 +37,7 @@ def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = si
     if sheet is None:
         if len(tables) != 1:
             what = (
-                f"which sheet is the table? {source.shorten(map(repr, tables))}" if tables else "no sheet holds a table"
+                f"which sheet is the table? {source.shorten(map(repr, tables))}" if tables else "no sheet has a table"
             )
             raise InputError(what, where, "give --sheet=NAME" if tables else "give a sheet with times and positions")
         sheet = tables[0]

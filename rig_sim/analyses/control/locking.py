@@ -18,12 +18,12 @@ REGULAR = 1e-8  # share of the scales within which a regular motion repeats
 ADVICE = {
     "not locked": "the motion did not come close enough to the orbit: allow more events or a larger budget",
     "no budget": "an unstable orbit needs control: give a budget above 0",
-    "no orbit": "the motion does not come back close to an orbit of this period: take another one",
-    "regular motion": "the motion settles on a stable orbit of another period: take this one or other parameters",
-    "motion ended": "under control the map has no next state: take a smaller budget",
-    "several unstable directions": "one parameter holds orbits with one unstable direction: take another period",
-    "no response": "the parameter does not move the state off this orbit: take another period",
-    "step limit": "the search has taken all its integrator steps: take a shorter period or other parameters",
+    "no orbit": "the motion does not return close to an orbit of this period: choose another one",
+    "regular motion": "the motion settles on a stable orbit of another period: use this one or other parameters",
+    "motion ended": "under control the map has no next state: use a smaller budget",
+    "several unstable directions": "one parameter holds orbits with one unstable direction: use another period",
+    "no response": "the parameter does not move the state off this orbit: use another period",
+    "step limit": "the search has taken all its integrator steps: use a shorter period or other parameters",
 }
 
 

@@ -60,7 +60,7 @@ def fixed_point(flow: Flow) -> FixedPoint:
     """Return the fixed point of a flow: one mass, no drive."""
     validate(flow)
     if flow.u0 != 0.0:
-        return FixedPoint("driven", "a driven mass does not rest: drop the drive")
+        return FixedPoint("driven", "a driven mass does not come to rest: remove the drive")
     if flow.v_belt == 0.0 and frame(flow).B > 0.0 and frame(flow).d == 0.0:
         return FixedPoint("belt at rest", "the mass rests wherever friction holds it: set belt.speed")
     if frame(flow).v > frame(flow).s_max:

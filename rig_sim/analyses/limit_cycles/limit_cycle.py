@@ -77,7 +77,7 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     validate(flow)
     fr = frame(flow)
     if fr.u0 != 0.0:
-        return Orbit("driven", "a driven mass has no orbit of its own: list its events instead")
+        return Orbit("driven", "a driven mass has no orbit without the drive: list its events instead")
     if is_grazing(fr):
         return make_grazing_orbit(fr)
     work = new_work(STEPS_OF_SEARCH)

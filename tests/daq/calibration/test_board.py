@@ -193,5 +193,5 @@ def test_a_lost_port_stands_beside_no_sample_lost(tmp_path):
 
     numbers = (100, 0, 0, 0, 0, 2, 1000.0, 1000.0, None, None, 0.1, 0.0, 0, 0, (0.0, 1.0), "m")
     lost_port = sentences.format_recording("recorded", RecordingQuality(*numbers, port_lost=1))
-    assert ", no sample lost while the port was there\n" in lost_port
+    assert ", no sample lost while the port was open\n" in lost_port
     assert ", no sample lost\n" in sentences.format_recording("recorded", RecordingQuality(*numbers))

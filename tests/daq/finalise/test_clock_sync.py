@@ -245,7 +245,7 @@ def test_a_recorded_line_gives_drift_and_offset_through_journal_and_file(tmp_pat
         (-167.0, 3265.0, ""),  # printed as "deviates by -167 ppm (+- 3265)", as if it said something
         (None, None, ""),
         (-167.0, 30.0, "the board's clock deviates by -167 ppm (+- 30)"),
-        (20.0, 60.0, "the board's clock is right within 140 ppm"),
+        (20.0, 60.0, "the board's clock agrees with this computer's to within 140 ppm"),
     ],
 )
 def test_a_drift_is_printed_where_the_run_shows_one(ppm, error, said):

@@ -54,7 +54,7 @@ def _tdms(path):
 def test_a_position_has_the_times_of_its_own_channel(tmp_path, make):
     path = make(tmp_path)
     assert daq.load(path, position="Pos").time[-1] == pytest.approx(0.002 * (N - 1))  # was 0.001
-    with pytest.raises(InputError, match="holds the times of another channel, not of column 'Pos"):
+    with pytest.raises(InputError, match="has the times of another channel, not of column 'Pos"):
         daq.load(path, position="Pos", time="1")
 
 
@@ -71,14 +71,14 @@ def test_of_several_measurements_one_is_chosen(tmp_path, make, starts):
     path = make(tmp_path)
     options = {} if path.suffix == ".lvm" else {"x_unit": "m"}
     with pytest.raises(
-        InputError, match=rf"holds {starts} measurements, .*choose one with segment 1 to segment {starts}"
+        InputError, match=rf"has {starts} measurements, .*choose one with segment 1 to segment {starts}"
     ):
         daq.load(path, **options)
     for number in range(1, starts + 1):
         run = daq.load(path, segment=number, **options)
         np.testing.assert_allclose(run.position, X, atol=1e-7)
     assert daq.load(path, segment=0, **options).time.size == starts * N
-    with pytest.raises(InputError, match=f"the file holds {starts} measurements; choose 1 to {starts}"):
+    with pytest.raises(InputError, match=f"the file has {starts} measurements; choose 1 to {starts}"):
         daq.load(path, segment=starts + 1, **options)
 
 
@@ -237,7 +237,7 @@ def _workbook(path, change=lambda sheet: sheet, time=TIME):
             lambda sheet: sheet.replace(
                 b"</sheetData>", b'<row r="1048576"><c r="XFD1048576"><v>1</v></c></row></sheetData>'
             ),
-            "cells beside the table only: left out: 1048576",  # 42 s of CPU time, then refused for memory
+            "cells outside the table only, skipped: 1048576",  # 42 s of CPU time, then refused for memory
         ),
     ],
 )

@@ -108,7 +108,7 @@ def test_a_unit_that_cannot_be_is_asked_for_and_not_guessed(tmp_path, form):
     own = [("t", "", TIME), ("x", "", 4e3 * X)]
     path = (BARE | FORMATS)[form](tmp_path, own)
     names = {"time": "data.t", "position": "data.x"} if "structure" in form else {}
-    with pytest.raises(InputError, match="the unit of the positions is not known: none is stated, and in m the mass"):
+    with pytest.raises(InputError, match="the positions have no unit, and in m the mass"):
         daq.load(path, **names)
     np.testing.assert_allclose(daq.load(path, x_unit="0.25 mm", **names).position, X, atol=1e-8)
 
@@ -116,7 +116,7 @@ def test_a_unit_that_cannot_be_is_asked_for_and_not_guessed(tmp_path, form):
 def test_si_that_is_assumed_is_said(tmp_path, capsys):
     path = programs.text(tmp_path / "t.csv", [("t", "", TIME), ("x", "", X)])
     assert application.run(app, ["import", str(path), "-o", str(tmp_path / "run.h5")]) == 0
-    assert "no unit is stated for what is read in m and in s" in capsys.readouterr().out
+    assert "no units found; assuming m and in s" in capsys.readouterr().out
     path = programs.text(tmp_path / "u.csv", columns())
     assert application.run(app, ["import", str(path), "-o", str(tmp_path / "run.h5"), "--force"]) == 0
     assert "no unit is stated" not in capsys.readouterr().out
@@ -129,7 +129,7 @@ def test_a_text_of_kinovea_takes_its_names_from_its_comment(tmp_path, decimal):
     np.testing.assert_allclose(found.position, X, atol=1e-5)
     np.testing.assert_allclose(found.time, TIME, atol=1e-6)
     old = programs.kinovea(tmp_path / "old.txt", 1e3 * X, X, RATE, decimal=decimal)
-    with pytest.raises(InputError, match=r"holds time codes, .* frames or hundredths; .*frame_rate"):
+    with pytest.raises(InputError, match=r"contains time codes, .* frames or hundredths; .*frame_rate"):
         daq.load(old, x_unit="mm")
     found = daq.load(old, x_unit="mm", frame_rate="250 fps")
     np.testing.assert_allclose(found.time, TIME, atol=1e-9)
@@ -145,7 +145,7 @@ def test_a_column_of_forces_suggests_the_spring_and_is_read_as_its_stretch(tmp_p
     path = FORMATS[form](tmp_path, [columns()[0], force])
     with pytest.raises(InputError) as caught:
         daq.load(path)
-    assert f"is in {unit}: a force, no position" in str(caught.value)
+    assert f"is in {unit}: a force, not a position" in str(caught.value)
     name = f"Fx_{unit}" if "numpy" in form else "Fx"
     assert f"spring_force='{name}', stiffness='168 N/m'" in str(caught.value)
     assert "--stiffness '168 N/m'; else choose" in caught.value.as_line()
@@ -158,7 +158,7 @@ def test_a_column_of_forces_suggests_the_spring_and_is_read_as_its_stretch(tmp_p
 @pytest.mark.parametrize("name", ["Force", "F", "Load cell", "Kraft"])
 def test_a_column_called_a_force_is_no_position_in_metres(tmp_path, name):
     path = programs.text(tmp_path / "t.csv", [("t", "s", TIME), (name, "", STIFFNESS * X)])
-    with pytest.raises(InputError, match=r"is a force by its name, no position; .*spring_force=.*force_unit='N'"):
+    with pytest.raises(InputError, match=r"is a force by its name, not a position; .*spring_force=.*force_unit='N'"):
         daq.load(path)
     run = daq.load(path, spring_force=name, stiffness=168, force_unit="N")
     np.testing.assert_allclose(run.position, X, atol=1e-8)
@@ -172,7 +172,7 @@ def test_a_friction_coefficient_is_asked_about_and_never_metres(tmp_path, name, 
     """A column COF used to be positions of half a metre."""
     path = programs.text(tmp_path / "t.csv", [("t", "s", TIME), (name, unit, 0.3 + 10 * X)])
     for position in ({}, {"position": 2}):
-        with pytest.raises(InputError, match="no position; if it is the force of the pulling spring over") as caught:
+        with pytest.raises(InputError, match="not a position; if it is the force of the pulling spring over") as caught:
             daq.load(path, **position)
     assert "--force-unit weight" in caught.value.as_line()
     run = daq.load(path, spring_force=2, force_unit="weight", mass="5 kg", stiffness=STIFFNESS)
@@ -249,7 +249,7 @@ def test_the_sheet_of_a_workbook_is_chosen_and_its_bad_cells_are_left_out(tmp_pa
     book["second"]["B12"] = "overload"
     book.save(path)
     np.testing.assert_allclose(daq.load(path, sheet="Messung 1").position, X, atol=1e-9)
-    with pytest.warns(UserWarning, match="1 lines .* left out: 12"):
+    with pytest.warns(UserWarning, match="1 lines .* skipped: 12"):
         assert daq.load(path, sheet="second", skip_bad=True).time.size == TIME.size - 1
 
 
@@ -257,7 +257,7 @@ def test_segments_whose_times_nobody_knows_are_measurements_of_their_own(tmp_pat
     path = programs.lvm(tmp_path / "t.lvm", columns(), multi=True, segments=2, restart=True)
     path.write_bytes(path.read_bytes().replace(b"Date\t", b"Day\t"))
     with pytest.raises(
-        InputError, match=r"holds 2 measurements, which begin at line 24, line \d+; choose one with segment 1"
+        InputError, match=r"has 2 measurements, which begin at line 24, line \d+; choose one with segment 1"
     ):
         daq.load(path)
     second = daq.load(path, segment=2)

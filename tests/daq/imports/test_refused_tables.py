@@ -46,9 +46,9 @@ TEXTS = [
     ("t (s),x (m)\n0,1\n1,2\n2,3\n3\n", {}, ["has 1 column where the others have 2"]),
     ("t,x\n0,10,1,25\n0,20,1,50\n", {}, ["line 1", "2 columns", "have 4", "semicolons"]),
     ("t,x\n0,1\n", {}, ["single sample"]),
-    ("t,x\n", {}, ["holds no numbers"]),
+    ("t,x\n", {}, ["has no numbers"]),
     ("", {}, ["is empty"]),
-    ("# nothing\n", {}, ["holds no data"]),
+    ("# nothing\n", {}, ["has no data"]),
     ("a\0b", {}, ["not a text file"]),
     ("t,x\n0,1\n1e12,2\n", {}, []),  # this, the third and the fourth: a traceback, or a run of inf Hz
     ("t,x\n0,1\n1,1e300\n", {}, []),
@@ -56,7 +56,7 @@ TEXTS = [
     ("sep=;\n", {}, []),
     ("\f\n", {}, []),
     ("x\n" + "1" * 140_000 + "x\n", {"frame_rate": 1.0}, []),
-    ("Rate,1000\n0,1\n1,2\n2,5\n", {}, ["line 1, column 1: column 1 holds 'Rate', not a number", "preamble 1"]),
+    ("Rate,1000\n0,1\n1,2\n2,5\n", {}, ["line 1, column 1: column 1 contains 'Rate', not a number", "preamble 1"]),
     # Columns.
     ("a,b,c\n0,1,2\n1,2,3\n", {}, ["which column is the position", "a, b, c"]),
     ("x,b,c\n0,1,2\n1,2,3\n", {}, ["which column is the time", "--time"]),
@@ -74,7 +74,7 @@ TEXTS = [
     (TWO, {"x_unit": "kg"}, ["--x-unit", "'kg'"]),
     (TWO, {"x_unit": "0 m"}, ["--x-unit", "zero"]),
     (TWO, {"x_unit": "cmm"}, ["'cmm' is not a unit of length; did you mean 'mm'?"]),
-    ("t,y,x (m)\n0,1,1\n1,2,2\n", {"belt_column": "y", "position": "x", "time": "t"}, ["states no unit"]),
+    ("t,y,x (m)\n0,1,1\n1,2,2\n", {"belt_column": "y", "position": "x", "time": "t"}, ["has no unit"]),
     # Times.
     ("x\n1\n2\n", {}, ["no column of times", "--frame-rate"]),
     ("frame,x\n1,2\n2,3\n", {}, ["frame numbers", "--frame-rate"]),
@@ -116,11 +116,11 @@ TEXTS = [
     ),
     (COUNT, {"counts_per_rev": 9, "circumference": 0}, ["metres_per_count is 0; it must be not zero"]),
     (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["give one or the other"]),
-    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit beside metres per count"]),
+    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit with metres per count"]),
     (
         COUNT,
         {"metres_per_count": 1e-6},
-        ["is a length, and metres per count are given; leave metres_per_count out"],
+        ["is a length, and metres per count are given; omit metres_per_count"],
     ),
 ]
 
@@ -258,10 +258,10 @@ FILES = [
     (many_columns, {}, "200,000 columns"),  # a message of 20 MB
     # Damaged files.
     (content("t.xlsx", b"PK\x03\x04 nothing"), {}, "is not a workbook"),
-    (content("t.tdms", b"TDSm" + b"\xff" * 60), {}, "holds no channel of numbers"),
+    (content("t.tdms", b"TDSm" + b"\xff" * 60), {}, "has no channel of numbers"),
     (content("t.mat", b"MATLAB 7.3 MAT-file".ljust(512) + HDF5 + bytes(90)), {}, "is not a MATLAB file"),
     (content("fake.mat", b"t,x\n0,1\n"), {}, "is not a MATLAB file"),
-    (lambda path: mat5(path, name="nothing"), {}, "holds no vector"),
+    (lambda path: mat5(path, name="nothing"), {}, "has no vector"),
     (lambda path: path / "missing.mat", {}, "no such file"),
     (lambda path: mat5(path, t=TIME, qm=X), {"position": "q"}, "qm"),
     (
@@ -274,13 +274,13 @@ FILES = [
     (
         content("t.lvm", b"LabVIEW Measurement\t\n***End_of_Header***\n\nX_Value\ty\tComment\n"),
         {},
-        "holds no numbers",
+        "has no numbers",
     ),
     *((lambda path, what=what: lvm(path, what), {}, f"X_Dimension is '{what}'") for what in ("Frequency", "Length")),
     (
         lambda path: workbook(path, overload),
         {"position": "x"},
-        "t.xlsx, line 12, column 2: column 'x (mm)' holds 'overload'",
+        "t.xlsx, line 12, column 2: column 'x (mm)' contains 'overload'",
     ),
     (lambda path: workbook(path, second_sheet), {}, "which sheet is the table? 'Messung 1', 'second'; give sheet"),
     (
@@ -292,11 +292,11 @@ FILES = [
     (text(FORCE), {}, "--stiffness '168 N/m'; else choose"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "which column is the position?"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "spring_force='F'"),
-    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, no position"),
+    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, not a position"),
     (
         text(LENGTHS),
         {"belt_column": "belt"},
-        "states no unit: is it the position or the speed of the belt?; give belt_unit",
+        "has no unit: is it the position or the speed of the belt?; give belt_unit",
     ),
     (text(LENGTHS), {"belt_column": "belt", "belt_unit": "kg"}, "'kg' is a unit of neither"),
     (text(LENGTHS), {"belt_column": "z"}, "'N' is a unit of neither"),
@@ -341,5 +341,5 @@ def test_a_line_longer_than_a_table_has_is_refused_unread(tmp_path, monkeypatch)
     path.write_text("t,x\n0,1\n" + "1," * table.LONGEST_LINE + "\n0.1,2\n")
     monkeypatch.setattr(layout, "split_cells", lambda *_: pytest.fail("a line was split"))
     said = refusal(path, {})
-    assert f"{path}, line 3: the line holds {2 * table.LONGEST_LINE} characters" in said
+    assert f"{path}, line 3: the line has {2 * table.LONGEST_LINE} characters" in said
     assert "delete that line; if the table begins below it, give --preamble 3" in said

@@ -115,7 +115,7 @@ END, DIRECTORY = WHOLE.rindex(b"PK\x05\x06"), WHOLE.rindex(b"PK\x01\x02")
         (zipped("no section\n"), "broken metadata"),
         (zipped("[global]\n[device 1]\ntotal analog=1\nanalog1=V\n"), "no logic samples"),
         (zipped(METADATA.replace("logic-1", "logic-7")), "no logic-7"),
-        (zipped("[device 1]\ncapturefile=logic-1\n"), "names no probes"),
+        (zipped("[device 1]\ncapturefile=logic-1\n"), "no probe names"),
         (zipped(METADATA.replace("unitsize=1", "unitsize=0")), "unitsize = '0'"),
         (zipped(METADATA.replace("unitsize=1", "unitsize=16")), "ends within a sample"),
         (zipped(METADATA.replace("1 MHz", "fast")), "samplerate = 'fast'"),
@@ -128,8 +128,8 @@ END, DIRECTORY = WHOLE.rindex(b"PK\x05\x06"), WHOLE.rindex(b"PK\x01\x02")
         (zipped(METADATA.replace("unitsize=1", f"unitsize={'9' * 5000}")), "unitsize"),  # a ValueError
         (zipped(METADATA + f"probe{'9' * 5000}=C\n" + ";" * 2_000_000), "of metadata"),
         # What no logic analyser packs: damage in it was a traceback, and its header may ask for 4 GB of memory.
-        (zipped(packed=zipfile.ZIP_LZMA), "packed in a way"),
-        (zipped(packed=zipfile.ZIP_BZIP2), "packed in a way"),
+        (zipped(packed=zipfile.ZIP_LZMA), "uses a compression"),
+        (zipped(packed=zipfile.ZIP_BZIP2), "uses a compression"),
         # Damage: of samples, of the directory's place (an OSError), of a name that is no UTF-8 (a UnicodeDecodeError).
         (WHOLE[: len(WHOLE) // 2], "damaged or cut short"),
         (changed(WHOLE.index(b"logic-1") + 8, b"\xff" * 4), "damaged or cut short"),

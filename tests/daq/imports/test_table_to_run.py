@@ -211,7 +211,7 @@ def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv, belt):
     assert table_to_run.read(make(csv, "t,x\n", zip(time, x, strict=True)), options()).warnings == ()
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
     found = table_to_run.read(csv, options())
-    assert "frame rate must be wrong" in found.warnings[0]
+    assert "frame rate is probably wrong" in found.warnings[0]
     fitting = float(found.warnings[0].split(" would match")[0].split()[-1])
     assert fitting == pytest.approx(400, rel=0.01)
     corrected = table_to_run.read(csv, options(frame_rate_hz=400.0))
@@ -223,7 +223,7 @@ def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv, belt):
 @pytest.mark.parametrize("slower", [1 / 128, 1.0, 64.0])
 @pytest.mark.parametrize("samples", [1.3, 2.2, 2.9, 4.0, 5.1, 7.0])
 def test_few_samples_a_slip_are_no_wrong_frame_rate(csv, samples, slower):
-    """A slip lasts a whole number of samples: at 4 a slip "the frame rate must be wrong" was said of a right one."""
+    """A slip lasts a whole number of samples: at 4 a slip a correct frame rate was called wrong."""
     slip = math.pi * math.sqrt(MASS / STIFFNESS)
     time, x = sawtooth(samples / slip, until=60.0)
     make(csv, "t [s],x [m]\n", zip(time * slower, x, strict=True))
@@ -237,7 +237,7 @@ def test_a_wrong_frame_rate_is_noticed_at_few_samples_a_slip(csv, samples, facto
     slip = math.pi * math.sqrt(MASS / STIFFNESS)
     time, x = sawtooth(samples / slip, until=60.0)
     make(csv, "t [s],x [m]\n", zip(time * factor, x, strict=True))
-    assert "frame rate must be wrong" in table_to_run.read(csv, options()).warnings[0]
+    assert "frame rate is probably wrong" in table_to_run.read(csv, options()).warnings[0]
 
 
 def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv):
@@ -339,7 +339,7 @@ def test_a_rest_position_far_from_the_travel_is_asked_about(csv, app, capsys, fl
     assert application.run(app, line) == 0
     (asked,) = json.loads(capsys.readouterr().out)["warnings"]
     assert "x0 (-5 m) is" in asked
-    assert "are its sign and its unit right?" in asked
+    assert "are its sign and its unit correct?" in asked
 
 
 def test_the_start_is_the_files_date_unless_given(csv):
@@ -364,7 +364,7 @@ def test_bad_lines_are_counted_and_left_out_on_request(csv, app, capsys):
     assert application.run(app, [*line, "--skip-bad"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["samples"], document["skipped"]) == (34, 6)
-    assert "6 lines (15 %) could not be read and were left out: 5, 9, 13, 22, 23 and 1 more" in document["warnings"][0]
+    assert "6 lines (15 %) could not be read and were skipped: 5, 9, 13, 22, 23 and 1 more" in document["warnings"][0]
     run = store.load(csv.with_name("run.h5"))
     assert "skipped_lines = [5, 9, 13, 22, 23, 32]" in run.config_toml
     np.testing.assert_allclose(run.position[:5], np.array([0, 1, 2, 4, 5]) * 1e-3)
@@ -418,7 +418,7 @@ def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv):
     np.testing.assert_allclose(known.run.position, x * 0.03 * 9.80665 / 168, atol=1e-10)
     plain = table_to_run.read(csv, options(**force | {"force_unit": None}))
     np.testing.assert_allclose(plain.run.position, x / 168, atol=1e-10)
-    assert "states no unit and is read in N" in plain.warnings[0]
+    assert "has no unit, so N is assumed" in plain.warnings[0]
 
 
 def test_progress_counts_the_lines_of_each_stage(csv, monkeypatch):

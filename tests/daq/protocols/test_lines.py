@@ -155,7 +155,7 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
     ("declared", "said"),
     [
         ("t_us", "which columns are the counts"),
-        ("up,down", "no time column"),
+        ("up,down", "a time column is required"),
         ("t_us,t_ms,count", "which column is the time"),
         ("t_us,up", "up and down"),
         ("t_us,up,down,count", "counts"),
@@ -163,9 +163,9 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
         ("t_us,count,count", "twice"),
         ("t_us,up:16,down", "differ in width"),
         ("t_us,count:12", "not a width"),
-        ("t_us,count,a", "one level of two"),
+        ("t_us,count,a", "only one of two levels"),
         ("t_us,x_in", "unknown column 'x_in'"),
-        ("t_us,x_mm:12", "'x_mm:12' is no number of decimals; write x_mm:2 for two, at most 9"),
+        ("t_us,x_mm:12", "'x_mm:12' is not a number of decimals; write x_mm:2 for two, at most 9"),
         ("t_us,x_mm,F_N", r"which columns are the counts\?"),
         ("t_us,count,x_mm", "such as x_mm or F_N"),
     ],
@@ -336,12 +336,12 @@ COUNTS = "t_us,count"
         (None, lambda k: b"x=%d,pos=%d\n" % (k, k), "labels x, pos: none is a time; .* micros"),
         (None, lambda k: b"t=%d,pos=1,count=2\n" % k, "more than one is a position; .* --columns"),
         (None, lambda k: b"%d,1\n" % k, "no columns are declared; one is .* --columns t_us,up,down"),
-        (None, lambda k: b"t=%d x=%d.04 y=3\n" % (2000 * k, k), "unit of the position is not stated; .* t_us,x_mm"),
+        (None, lambda k: b"t=%d x=%d.04 y=3\n" % (2000 * k, k), "the position has no unit; .* t_us,x_mm"),
         (None, lambda k: b"(%d, %d.04)\n" % (2000 * k, k), "no columns are declared; one is .* --columns t_us,x_mm"),
         # Something else is printed.
         (COUNTS, lambda k: b"Hello\n", "one is 'Hello'"),
-        (COUNTS, lambda k: b"1,2,3,4\n", "not of the columns t_us,count"),
-        (COUNTS, lambda k: b"", "nothing came"),
+        (COUNTS, lambda k: b"1,2,3,4\n", "do not match the columns t_us,count"),
+        (COUNTS, lambda k: b"", "no data arrived"),
         (COUNTS, lambda k: b"77,5\n", "does not change"),
         (COUNTS, lambda k: b"%d,7\n" % (2003 * min(k, 400)), "does not change"),  # the rate was divided by zero
         (COUNTS, lambda k: b"%d,5\n" % (10_000_000 - 2000 * k), "runs backwards, by 2000 us"),  # blamed --duration
@@ -421,8 +421,8 @@ def test_an_endless_line_is_one_damaged_one(form):
     [
         # Exact micros() in whole milliseconds used to be advised to print micros().
         ("t_us,count", lambda k: b"%d,5\n" % (2000 * k), "exact if a timer takes the samples"),
-        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 1000 * (k % 20 == 7)), "with errors up to 1 ms: let"),
-        ("ms,count", lambda k: b"%d,5\n" % (2.3 * k), "with errors up to 1 ms: let"),
+        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 1000 * (k % 20 == 7)), "with errors up to 1 ms: print"),
+        ("ms,count", lambda k: b"%d,5\n" % (2.3 * k), "with errors up to 1 ms: print"),
         ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 4 * (k % 20 == 7)), None),
     ],
 )

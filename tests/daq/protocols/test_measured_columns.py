@@ -110,7 +110,7 @@ def test_decimals_without_a_unit_are_counts_and_said_to_be(tmp_path, monkeypatch
 
 def test_metres_per_count_beside_a_unit_are_refused(tmp_path, monkeypatch):
     stated = {"metres_per_count": Measured(1e-5)}
-    with pytest.raises(InputError, match="the columns give positions with a unit"):
+    with pytest.raises(InputError, match="positions have a unit"):
         recorded(
             tmp_path, monkeypatch, lambda k: f"{2000 * k} {x_mm(k):.2f}\n".encode(), columns="t_us,x_mm", stated=stated
         )

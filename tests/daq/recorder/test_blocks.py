@@ -71,7 +71,7 @@ def test_integers_are_counts(tmp_path):
     np.testing.assert_array_equal(run.count, count)
     np.testing.assert_allclose(run.position, count * 1e-6, rtol=1e-15)
     found = daq.record(card(count.astype(np.int64) + 2**40), tmp_path / "bare.h5", rate_hz=RATE)
-    assert found.warnings == ("no metres per count are known, so positions are counts",)
+    assert found.warnings == ("metres per count unknown: positions are in counts",)
     bare = daq.load(tmp_path / "bare.h5")
     np.testing.assert_array_equal(bare.count, count.astype(np.int64) + 2**40)
     assert bare.unit == "count"
@@ -116,7 +116,7 @@ def test_missing_samples_are_counted_and_marked_and_never_filled(tmp_path):
 def test_a_source_that_ends_early_is_a_short_run(tmp_path):
     found, _ = taken(tmp_path, card(), seconds=5)
     assert (found.ended, found.short, found.asked_s) == ("source ended", True, 5.0)
-    assert found.warnings == ("the run holds 2 s of samples of the 5 s asked for: the source ended",)
+    assert found.warnings == ("2 s of samples of the requested 5 s were recorded: the source ended",)
 
 
 def test_enough_samples_end_the_recording_and_close_the_generator(tmp_path):
@@ -164,11 +164,11 @@ def test_a_source_that_gives_nothing_is_ended(tmp_path, monkeypatch, then, began
     if began:
         found, _ = taken(tmp_path, source(), **how)
         assert (found.samples, found.ended) == (700, "stopped" if by == "stop" else "source silent")
-        assert any("the source gave no more samples" in text for text in found.warnings) == (by == "seconds")
+        assert any("the source gave no further samples" in text for text in found.warnings) == (by == "seconds")
     else:
         stopped, silent = (
             (RecordingInterruptedError, "before the first block"),
-            (DataError, "no block with a sample in 0.8 s"),
+            (DataError, "no samples in 0.8 s"),
         )
         error, words = stopped if by == "stop" else silent
         with pytest.raises(error, match=words):
@@ -238,10 +238,10 @@ def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tm
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ((TIME[700:800], X[700:799]), "block 8 holds 100 times and 99 values"),
+        ((TIME[700:800], X[700:799]), "block 8 has 100 times and 99 values"),
         ((TIME[650:750], X[700:800]), "time does not increase at sample 0 in block 8: 0.65 s after 0.699 s"),
         ((TIME[700:800], np.where(TIME[700:800] == 0.75, np.inf, X[700:800])), "value of sample 50 in block 8 is inf"),
-        ((TIME[700:800], np.arange(100)), "block 8 holds counts (integers) after positions (floats)"),
+        ((TIME[700:800], np.arange(100)), "block 8 has counts (integers) after positions (floats)"),
         (TIME[700:800], "block 8 is a ndarray of shape (100,), not two arrays"),
         ((TIME[700:800], ["a"] * 100), "daq.record, block 8: position holds <U1 values, not numbers"),
         (None, "block 8 is a NoneType, not two arrays"),
@@ -269,7 +269,7 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
             "the times step at 1 Hz, and rate_hz is 1000; give rate_hz=1, or the times in s",
         ),
         (lambda: card(t=TIME * 2, size=5), {}, "the times step at 500 Hz, and rate_hz is 1000"),
-        (lambda: iter([]), {}, "the source gave no block"),
+        (lambda: iter([]), {}, "the source gave no samples"),
         (lambda: 5, {}, "the source is a int; give a port, a URL, or an iterable of blocks (t, x)"),
         (lambda: {"t": TIME, "x": X}, {}, "the source is a dict"),
         (card, {"rate_hz": None}, "rate_hz is None; give the samples per second"),
@@ -295,7 +295,7 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
         (lambda: "rig://rig", {"rate_hz": float("inf")}, "a port takes whole Hz"),
         (lambda: "rig://rig", {"baud": "fast"}, "baud is a str; give a whole number"),
         (lambda: "rig://rig", {"rate_hz": 0.5}, "a port takes whole Hz"),
-        (lambda: "nowhere://rig", {}, "nowhere:// is no kind of port"),
+        (lambda: "nowhere://rig", {}, "nowhere:// is not a kind of port"),
     ],
 )
 def test_what_cannot_be_is_refused_and_leaves_nothing(tmp_path, source, how, words):
@@ -355,7 +355,7 @@ def test_a_recovered_file_is_the_finished_one_up_to_who_finished_it(tmp_path):
     found = finalise(part, tmp_path / "run.h5", finished_by="daq recover")
     assert found.samples == 1900
     np.testing.assert_array_equal(daq.load(tmp_path / "run.h5").position, X[:1900])
-    assert any("cut short" in text for text in found.warnings)
+    assert any("an incomplete record" in text for text in found.warnings)
 
 
 def test_a_damaged_record_costs_its_own_samples(tmp_path):

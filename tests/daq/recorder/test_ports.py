@@ -40,7 +40,7 @@ def test_a_url_writes_to_no_file(tmp_path):
     other = tmp_path / "thesis.txt"
     other.write_text("three years of work")
     for url in (f"spy:///dev/ttyNONE7?file={other}", f"SPY://loop://?file={other}", f"alt://x?class={other}"):
-        with pytest.raises(InputError, match="is no kind of port"):  # spy:// emptied the file
+        with pytest.raises(InputError, match="is not a kind of port"):  # spy:// emptied the file
             ports.open_port(url)
     assert other.read_text() == "three years of work"
 
@@ -127,7 +127,7 @@ FAST = replace(RIG, metres_per_count=Measured(7.67e-9))
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        ((1000, 1, 115_200), r"22000 bytes/s, and 115200 baud can transfer 11520; give rate_hz=523 or less"),
+        ((1000, 1, 115_200), r"22000 bytes/s; 115200 baud can transfer 11520; give rate_hz=523 or less"),
         ((6000, 8), "5000"),  # more than the board samples
         ((1000, 8, None, replace(BOARD, max_edge_rate_hz=0), FAST), "roll over"),
     ],
@@ -193,7 +193,7 @@ def test_a_port_is_opened_once_under_whatever_name(tmp_path):
     (tmp_path / "ttyLINK").symlink_to(name)
     port = ports.open_port(name)
     for other in (name, str(tmp_path / "ttyLINK")):
-        with pytest.raises(DeviceError, match="another program holds this port"):
+        with pytest.raises(DeviceError, match="another program is using this port"):
             ports.open_port(other)
     port.close()
     ports.open_port(str(tmp_path / "ttyLINK")).close()

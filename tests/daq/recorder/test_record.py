@@ -57,7 +57,7 @@ def attach(monkeypatch):
             try:
                 return next(waiting)
             except StopIteration:
-                raise DeviceError("no such port", url, "plug the board in") from None
+                raise DeviceError("no such port", url, "connect the board") from None
 
         monkeypatch.setattr(ports, "open_port", open_port)
 
@@ -105,7 +105,7 @@ LEAPT = {"samples": 800, "lost": 0, "segments": 2, "measured_rate_hz": pytest.ap
 
 
 def leap(leap_s):
-    words = {"warned": [f"clock leapt, by {leap_s:g} s at 0.4"], "noted": [f"leapt by +{1e3 * leap_s:.0f} ms"]}
+    words = {"warned": [f"clock jumped, by {leap_s:g} s at 0.4"], "noted": [f"jumped by +{1e3 * leap_s:.0f} ms"]}
     expected = LEAPT | words | {"events": [(400, "reopened")]}
     return [{range(50, ALWAYS): moved(ticks=round(1e6 * leap_s))}], 800, expected
 
@@ -145,13 +145,13 @@ RUNS = {
         [UNPLUGGED],
         800,
         {"samples": 400, "short": True, "ended": "port lost"}
-        | {"warned": ["the run holds 0.4 s of samples of the 0.8 s asked for: the port was lost", "(gone) 0."]},
+        | {"warned": ["0.4 s of samples of the requested 0.8 s were recorded: the port was lost", "(gone) 0."]},
     ),
     "a port lost at the end": ([UNPLUGGED, {}], 401, {"short": False, "sparse": False, "ended": "complete"}),
     "a port lost again and again": (  # there used to be a warning for each time: 52 kB for 1000
         [{5: gone(SerialException("gone"))}] * 12 + [{}],
         2000,
-        {"segments": 13, "port_lost": 12, "warned": ["lost and reopened 12 times", "the longest time", "(gone)"]},
+        {"segments": 13, "port_lost": 12, "warned": ["lost and reopened 12 times", "the longest outage", "(gone)"]},
     ),
     "counts that disagree with their levels": (
         [{range(20, ALWAYS): MISCOUNTED}],
@@ -219,7 +219,7 @@ def test_a_board_that_pauses_without_counting_it_keeps_its_clock_and_the_pause_i
 @pytest.mark.parametrize(
     ("config", "said"),
     [
-        (None, "positions are counts"),
+        (None, "positions are in counts"),
         ("[rig]\nmess = 1\n", "mess"),
         ("a = " + "[" * 1500, "nested too deeply"),  # these two ended the recording in a traceback
         ("[rig]\nmass = 0x" + "f" * 1500, "too many digits"),
@@ -322,7 +322,7 @@ def test_a_port_without_a_board_is_a_device_error_and_leaves_nothing(tmp_path, t
 
 
 def test_not_one_sample_is_an_error_that_stands_in_nobodys_way(tmp_path, take):
-    with pytest.raises(DataError, match="not one sample"):
+    with pytest.raises(DataError, match="no sample"):
         take(board({range(ALWAYS): "drop"}))
     assert list(tmp_path.iterdir()) == []
 
@@ -599,13 +599,13 @@ def test_a_board_that_sends_the_same_samples_again_and_again_ends_at_its_duratio
     assert found.short
     assert found.samples <= 8 * found.segments
     assert any("no new sample in the" in warning for warning in found.warnings)
-    assert any("came twice or late" in warning for warning in found.warnings)
+    assert any("repeated or late" in warning for warning in found.warnings)
 
 
 def test_a_board_that_sends_noise_ends_and_its_bytes_are_kept(tmp_path, attach, limit):
     # It used to be read for ever, and its journal to be deleted: "it is empty".
     attach(board({range(ALWAYS): lambda line: b"\x55" * 300 + b"\0"}))
-    with pytest.raises(DataError, match="not one sample can be read in the") as caught:
+    with pytest.raises(DataError, match="no sample could be read from the") as caught:
         record(request(tmp_path, 300), stop=limit)
     part = tmp_path / "run.h5.part"
     assert str(part) in caught.value.do
@@ -631,7 +631,7 @@ def test_a_segment_is_read_as_the_board_identified_itself_before_it(tmp_path, ta
         assert x == pytest.approx(motion(np.arange(x.size)) * 1e-5, abs=4e-5)
         assert np.diff(run.time[here]) == pytest.approx(1e-3)
     assert run.time[first] - run.time[first - 1] < 0.5
-    assert any("identified itself anew" in warning for warning in found.warnings)
+    assert any("identified itself again" in warning for warning in found.warnings)
     assert run.sent_as.segment.tolist() == [0, 1]
     assert run.sent_as.counter_bits.tolist() == [16, change.get("bits", 16)]
     assert run.sent_as.counts.tolist() == [1, 4 if "decoder" in change else 1]

@@ -450,7 +450,7 @@ LOG = "instrument/encoder/value_log"
         (f"{LOG}/time", None, "has no /entry/instrument/encoder/value_log/time"),
         (f"{LOG}/time", ["a", "b"], "not one column of float64"),
         (f"{LOG}/time", np.zeros(501), "time does not increase at sample 1"),
-        (f"{LOG}/value", np.zeros(3), "has 3 values where 501 belong"),
+        (f"{LOG}/value", np.zeros(3), "has 3 values instead of 501"),
         (f"{LOG}/value", np.full(501, np.inf), "not finite at sample 0"),
         (f"{LOG}/value", np.full(501, 1e300), "too large at sample 0"),  # an OverflowError in whoever squares it
         (f"{LOG}/time", np.arange(501) * 1e300, "its times reach"),
@@ -462,7 +462,7 @@ LOG = "instrument/encoder/value_log"
         ("title", 5, "is not text"),
         ("events/kind", None, "has no /entry/events/kind"),
         ("raw/flags", None, "has no /entry/raw/flags"),
-        ("clock_sync/sample", np.zeros(5, np.uint32), "has 2 values where 5 belong"),
+        ("clock_sync/sample", np.zeros(5, np.uint32), "has 2 values instead of 5"),
     ],
 )
 def test_wrong_content_is_named(path: Path, name: str, value: Any, words: str) -> None:

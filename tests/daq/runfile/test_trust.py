@@ -106,7 +106,7 @@ def test_a_chunk_of_the_wrong_length_is_refused(run: Path, stored: bytes) -> Non
         del entry[POSITION]
         made = entry.create_dataset(POSITION, (50,), "f8", chunks=(50,), compression="gzip")
         made.id.write_direct_chunk((0,), stored)
-    with pytest.raises(InputError, match="bytes where 400 belong"):
+    with pytest.raises(InputError, match="bytes instead of 400"):
         store.load(run)
 
 

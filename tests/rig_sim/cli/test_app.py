@@ -130,7 +130,7 @@ def test_a_scene_file_without_an_end_is_not_read_to_it(tmp_path: Path) -> None:
     large = tmp_path / "large.toml"
     large.write_text("# much\n" * 200_000)
     error = answer("cycle", large, code=2)["error"]
-    assert "larger than any scene: over 1048576 bytes" in error["what"]
+    assert "too large for a scene: over 1048576 bytes" in error["what"]
 
 
 @pytest.mark.slow

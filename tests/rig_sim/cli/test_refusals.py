@@ -14,7 +14,7 @@ RUN = "run base --until 9 --rate 1 -o a.csv"
 RK4, DOP853 = f"{RUN} --method rk4-henon", f"{RUN} --method dop853"
 SHAKER = "shaker --m 1 --k 1 --c 0.1 --gamma 0.4"
 LOCK = "lock forced --period 1 --budget 0.1"
-STIFF = ("step limit: with a coupling of 1e+09 one event takes more than 200000", "take a coupling.a of 2e+06 or less")
+STIFF = ("step limit: with a coupling of 1e+09 one event takes more than 200000", "use a coupling.a of 2e+06 or less")
 
 REFUSED = [  # command line, where, words of the rest
     ("rule", "command line", "Unknown command"),
@@ -28,7 +28,7 @@ REFUSED = [  # command line, where, words of the rest
     ("cycle base --set belt.ripple_hz=2", "scene base", "belt.ripple_hz without belt.ripple"),
     ("cycle /dev/full", "/dev/full", "is a folder or a device"),  # it was read for ever
     ("cycle .", ".", "is a folder or a device"),
-    ("cycle two-mass", "scene two-mass", "drop the section coupling"),
+    ("cycle two-mass", "scene two-mass", "remove the section coupling"),
     ("map base --d 0.1", "scene base", "set coupling.a and coupling.b"),
     ("events two-mass --until 1 --set start.attractor=9", "scene two-mass", "start.attractor is 9"),
     # motions
@@ -68,13 +68,13 @@ REFUSED = [  # command line, where, words of the rest
     *(
         (f"continue damped --over {over}", "--over", said)
         for over, said in (
-            ("c=0:1", "no range of a parameter"),
-            ("damper.c", "no range of a parameter"),
-            ("damper.c=1", "no range of a parameter"),
+            ("c=0:1", "not a range of a parameter"),
+            ("damper.c", "not a range of a parameter"),
+            ("damper.c=1", "not a range of a parameter"),
             ("damper.c=1:1", "give two different finite numbers"),
             ("damper.c=0:nan", "give two different finite numbers"),
             ("damper.c=0:1:1", "give 2 to"),
-            ("damper.c=a:b", "holds something that is no number"),
+            ("damper.c=a:b", "contains something that is not a number"),
         )
     ),
     # control
@@ -82,7 +82,7 @@ REFUSED = [  # command line, where, words of the rest
     (f"{SHAKER} --a -1 --phi 3", "--a", "give 0 or more"),
     (f"{SHAKER} --a nan --phi 3", "--a", "not a valid damping"),
     (f"{SHAKER} --a 1 --phi inf", "--phi", "not a valid angle"),
-    *((f"{SHAKER} --a 1 --phi 3 --band {band}", "--band", "no band") for band in ("2:1", "1", "-1:2")),
+    *((f"{SHAKER} --a 1 --phi 3 --band {band}", "--band", "not a band") for band in ("2:1", "1", "-1:2")),
     ("lock base --period 1 --budget 0.1", "scene base", "has no drive to control"),
     ("lock two-mass --period 1 --budget 0.1", "scene two-mass", "has two masses"),
     (

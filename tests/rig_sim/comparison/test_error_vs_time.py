@@ -148,7 +148,7 @@ def test_a_landing_found_twice_is_doubted_in_the_list_that_holds_it():
     assert all(lists[peer].t == right["exact", "interpreted"].t for peer in peers.values())
     assert describe_peers(peers) == ("; compared: exact with dop853 rtol 1e-12; dop853, radau with exact interpreted")
     assert describe_doubts(lists, 9.0) == (
-        "; dop853 rtol 2.3e-14 is no reference: other events from t = 4, which 0 of 3 others have "
+        "; dop853 rtol 2.3e-14 is not a reference: other events from t = 4, which 0 of 3 others have "
         "(S>N and N>S at the same time)"
     )
     assert describe_doubts(right, 9.0) == ""
@@ -169,4 +169,4 @@ def test_the_exact_method_has_an_error_where_a_rival_finds_other_events():
     peer = re.search("compared: exact with dop853 (rtol [^;]*); dop853, radau with exact interpreted", found.reference)
     assert rows["exact", "interpreted"].error == rows["dop853", peer[1]].error is not None
     for (method, setting), row in rows.items():
-        assert (f"; {method} {setting} is no reference: other events" in found.reference) == (row.error is None)
+        assert (f"; {method} {setting} is not a reference: other events" in found.reference) == (row.error is None)

@@ -275,7 +275,7 @@ def test_a_family_of_maps_is_swept_and_continued():
         ("period 2", True),
     }
     assert isinstance(rig_sim.sweep(Logistic, over="r=2.9:3.5:3").plot(), Figure)
-    with pytest.raises(InputError, match="is no map of an interval"):
+    with pytest.raises(InputError, match="is not a map of an interval"):
         rig_sim.continue_(Henon, over="a=1:1.2:3")
 
 

@@ -50,7 +50,7 @@ CHANGES = [  # scene, its changes, words of the refusal
     # a belt that ripples or droops, a shaker
     ("base", ["belt.ripple=1"], "belt.ripple_hz is missing"),
     ("base", ["belt={speed=0.5, ripple=0.1, ripple_hz=0}"], "belt.ripple_hz", "0"),
-    ("forced", ["belt.ripple=0.05", "belt.ripple_hz=0.31"], "belt.ripple beside a drive"),
+    ("forced", ["belt.ripple=0.05", "belt.ripple_hz=0.31"], "belt.ripple with a drive"),
     ("rig", [DROOP, "friction.static=1.2"], "static"),
     ("rig", ["droop.fraction=0.5"], "fraction is 0.5", "give less than 0.4726"),
     ("rig", ["droop.fraction=1.0"], "droop.fraction"),
@@ -64,7 +64,7 @@ CHANGES = [  # scene, its changes, words of the refusal
     ("base", ["shaker.a=0.5", "shaker.phi=2.2", *NARROW], "creep"),
     # two masses
     ("two-mass", ["friction.law=6"], "ramp"),
-    ("two-mass", ["drive={u0=1, omega=1}"], "drive beside coupling"),
+    ("two-mass", ["drive={u0=1, omega=1}"], "drive with coupling"),
     ("two-mass", ["belt.ripple=0.1"], "belt.ripple"),
     ("two-mass", ["start.x=0.1"], "start.x or"),
     ("two-mass", ["coupling.a=-1"], "coupling.a"),
@@ -98,10 +98,10 @@ CHANGES = [  # scene, its changes, words of the refusal
             ("friction.s0=3 mm", "friction.s0: 'mm' is not a unit of stiffness"),
             ("friction.so=3", "unknown key 'friction.so'"),
             ("belt.speed=0", "without a moving belt; set belt.speed"),
-            ("friction.static=1.2", "friction.static beside law lugre"),
-            ("friction.contact=jump", "friction.contact beside law lugre"),
-            ("droop.fraction=0.1", "droop beside law lugre"),
-            ("shaker={a=1, phi=0}", "shaker beside law lugre"),
+            ("friction.static=1.2", "friction.static with law lugre"),
+            ("friction.contact=jump", "friction.contact with law lugre"),
+            ("droop.fraction=0.1", "droop with law lugre"),
+            ("shaker={a=1, phi=0}", "shaker with law lugre"),
         )
     ),
 ]
@@ -143,7 +143,7 @@ FILES = [  # content, words of the refusal
             ('formula = "Fc"\nFc = 1.0\ncurve = [[0.0, 1.0]]', "both curve and formula"),
             (
                 'formula = "Fc - d*s"\nFc = 1\nd = 0.1',
-                "parameter d, which is the section's own: half-width of the ramp",
+                "parameter d, which is a key of the section: half-width of the ramp",
             ),
             ('formula = "Fc"\nFc = 1.0\ncontact = "ramp"', "friction.d is missing, which a ramp needs"),
             ('formula = "Fc"\nFc = "1"', "friction.Fc is '1'"),
