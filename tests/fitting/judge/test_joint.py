@@ -232,8 +232,7 @@ def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_f
     for number, side in enumerate(law_five.runs, start=1):
         speed = side.best.parameters["v_dr"]
         assert f"<p>run {number}: " in text
-        assert f"belt {speed.value:.4g} m/s" in text
-        assert f"{speed.value:.{speed.decimals}f} ± " in text
+        assert f"belt {speed.value:.{speed.decimals}f} ± {speed.stderr:.{speed.decimals}f} m/s" in text
 
 
 def test_a_run_named_twice_is_refused(files, tmp_path):

@@ -35,11 +35,12 @@ def test_coordinates_are_shortened_and_words_are_not():
 
 
 def test_a_line_of_each_law_is_told_apart_without_its_colour(ranked):
+    ranking = ranked(law=5)
     with pictures.look():
-        drawn, _ = pictures.laws(ranked(law=5))
+        drawn, _ = pictures.laws(ranking)
     lines = {line.get_label(): line for line in drawn.axes[0].lines}
-    assert {f"law {law}" for law in range(1, 7)} <= set(lines)
-    assert len({str(lines[f"law {law}"]._dash_pattern) for law in range(1, 7)}) == 6
+    names = [row.name for row in ranking.rows if isinstance(row.law, int)]
+    assert len({str(lines[name]._dash_pattern) for name in names}) == len(names) == 6
 
 
 def lightness(colour):
@@ -60,3 +61,17 @@ def test_runs_of_a_joint_fit_differ_in_greyscale():
             drawn_alike = run_dash(one) == run_dash(other)
             assert drawn_alike == (run_mark(one) == run_mark(other))
             assert apart > 20 or not drawn_alike, (one, other)
+
+
+def test_the_fit_is_never_above_the_belts_speed(ranked):
+    """The phase portraits had curls above the belt's speed, and velocities of one-sided differences at break-aways."""
+    row = ranked(law=5).best
+    _, _, velocity = pictures.fitted_motion(row, row.motion.sign)
+    assert np.nanmax(velocity) < 1.001 * row.fit.values.v_dr
+
+
+def test_a_typeset_label_is_plain_in_the_table_of_a_figure():
+    drawn = Figure()
+    drawn.subplots().plot([1.0, 2.0], [3.0, np.nan], label=r"$v_\mathrm{dr}$")
+    drawn.axes[0].set(xlabel="slip speed $s$ (m/s)", ylabel="a,b")
+    assert pictures.as_csv(drawn).splitlines()[1:] == [',v_dr,slip speed s (m/s),"a,b",1,3']
