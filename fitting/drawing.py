@@ -3,6 +3,7 @@
 import math
 import textwrap
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -28,11 +29,15 @@ POSITION, VELOCITY, TIME = "position $x$ (mm)", "velocity $v$ (m/s)", "time $t$ 
 SINCE_BREAK_AWAY, SLIP_SPEED = "time since break-away (s)", "slip speed $s$ (m/s)"
 BELT_SPEED = r"belt speed $v_\mathrm{dr}$"
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
-COLUMNS = 110  # of a line of the title
+COLUMNS = 95  # of a line of the title
 MOST_POINTS = 12_000
 USUAL = 99.5  # percentile of the force balance up to which it is drawn
 
 Shown = Sequence[tuple[Fit, str, dict[str, Any]]]  # laws, best first, each with its name and line style
+
+
+def look() -> AbstractContextManager[None]:
+    return mpl.rc_context(fname=STYLE)
 
 
 def friction(
@@ -45,7 +50,7 @@ def friction(
     """Return friction against slip speed at all speeds (in ``axes``) and at low ones; laws best first."""
     styles = law_styles(fit.law.key for fit, _ in laws)
     shown = [(fit, name, styles[fit.law.key]) for fit, name in laws]
-    with mpl.rc_context(fname=STYLE):
+    with look():
         if axes is not None:
             draw(axes, shown, motion, measured)
             axes.legend()

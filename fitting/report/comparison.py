@@ -102,7 +102,7 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
     return page.template("comparison.html").render(
         mark=Markup(_mark([run.file for run in runs])),
         rows=[_row(number, run, names, styles) for number, run in enumerate(runs, start=1)],
-        names=[f"{name} ({symbols.pretty(units[name])})" for name in names],
+        names=[(name, symbols.pretty(units[name])) for name in names],
         picture=Markup(draw(runs, names, units, styles)) if names else "",
         symbols=symbols.symbols(names),
         summary=summary,
@@ -119,15 +119,8 @@ def _row(number: int, run: ComparedRun, names: Sequence[str], styles: Styles) ->
         "laws": ", ".join(map(str, run.members)) or "–",
         "verdict": symbols.pretty(run.document["verdict"]) if run.failure is None else f"error: {run.failure.what}",
         "colour": styles[run.law]["color"] if run.law is not None else "",
-        "parameters": [_value(run.parameter(name)) for name in names] if run.law is not None else [],
+        "parameters": [run.parameter(name) for name in names] if run.law is not None else [],
     }
-
-
-def _value(item: Parameter | None) -> tuple[str, str]:
-    if item is None:
-        return "–", ""
-    value, _, interval, _ = page.format_interval(item)
-    return value, interval
 
 
 def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str], styles: Styles) -> str:
@@ -136,7 +129,7 @@ def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, 
     from fitting.report import pictures
 
     lines = -(-len(names) // COLUMNS)
-    with pictures.look():
+    with drawing.look():
         height = lines * (HEAD + PER_RUN * len(runs))
         drawn, cells = drawing.panels(drawing.WIDE, height, lines, COLUMNS, gap=0.2, sharey=True)
         drawn.subplots_adjust(hspace=HEAD / (PER_RUN * len(runs)))

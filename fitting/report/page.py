@@ -3,14 +3,12 @@
 import html
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.runfile import store
-from daq.runfile.recording import Recording
 from fitting.judge.adequacy import Adequacy
 from fitting.judge.parameters import Correlations, Parameter
 from fitting.palette import law_styles, run_colour
@@ -167,12 +165,6 @@ def _headline(best: LawResult) -> dict[str, Parameter]:
     return {name: parameters[name] for name in shown}
 
 
-def _symbol(name: str) -> "Markup":
-    from markupsafe import Markup
-
-    return Markup(symbols.parameter(name))
-
-
 def in_shown_unit(item: Parameter) -> Parameter:
     """Return a parameter with a length in mm, as positions are shown."""
     if item.unit != "m":
@@ -188,14 +180,6 @@ def _typeset(row: LawResult) -> "tuple[Markup, str]":
 
     curve, contact = symbols.typeset(row.fit.law)
     return Markup(curve), contact
-
-
-def _when(recording: Recording) -> str:
-    """Return the time of recording, or of the last change of an imported table, without fractions of a second."""
-    started = recording.started
-    with suppress(ValueError):
-        started = datetime.fromisoformat(started).isoformat(" ", timespec="seconds")
-    return (recording.when.removesuffix(recording.started) or "recorded ") + started
 
 
 def smallest_departure(adequacy: Adequacy) -> str:
@@ -253,7 +237,6 @@ FILTERS: dict[str, Callable[..., Any]] = {
     "shade": lambda value: f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})",
     "signed": _signed,
     "strongest": _strongest,
-    "symbol": _symbol,
+    "symbol": symbols.parameter,
     "typeset": _typeset,
-    "when": _when,
 }

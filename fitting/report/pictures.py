@@ -8,7 +8,6 @@ import math
 import re
 import zipfile
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from typing import Any
 
 import matplotlib as mpl
@@ -17,19 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from fitting import drawing
-from fitting.drawing import (
-    BELT_SPEED,
-    LETTER,
-    NARROW,
-    POSITION,
-    ROW,
-    SINCE_BREAK_AWAY,
-    TIME,
-    VELOCITY,
-    WIDE,
-    add_legend,
-    panels,
-)
 from fitting.palette import COLOURS, DASHED, INK, MEASURED, law_styles, run_colour, run_dash, run_mark
 from fitting.record.cycles import Cycle
 from fitting.report.symbols import pretty
@@ -37,7 +23,6 @@ from fitting.result import LawResult, Ranking
 from processing.statistics import pooled
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import format_length, shown_length
-from stickslip.output.plot import STYLE
 
 DPI = 110  # of what is drawn as an image
 MOST_VECTOR = 4000  # points of a line; a longer one is drawn as an image, and thinned in the table of its figure
@@ -49,10 +34,6 @@ BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law t
 SPREAD = 99.5  # percentile of residuals within the axes
 BINS = (4, 30)  # fewest and most of the distribution, whose number is the square root of that of the break-aways
 Part = Array  # (3, n) time (s), position (mm), velocity (m/s)
-
-
-def look() -> AbstractContextManager[None]:
-    return mpl.rc_context(fname=STYLE)
 
 
 def embed(drawn: Figure, about: str, name: str) -> str:
@@ -189,7 +170,7 @@ def begins(ranking: Ranking) -> list[float]:
 
 
 def time_label(ranking: Ranking) -> str:
-    return "time, runs in sequence (s)" if ranking.runs else TIME
+    return "time, runs in sequence (s)" if ranking.runs else drawing.TIME
 
 
 def record(ranking: Ranking) -> tuple[Figure, str]:
@@ -213,18 +194,18 @@ def cycle(ranking: Ranking) -> tuple[Figure, str]:
         part[1] = MM * side.motion.sign * side.motion.measured[extent(typical)]
         measured.append(part - shift)
         fitted.append(fitted_motion(side.best, side.motion.sign, part) - shift)
-    return _over_time(ranking, measured, fitted, SINCE_BREAK_AWAY, "Position and velocity of one cycle")
+    return _over_time(ranking, measured, fitted, drawing.SINCE_BREAK_AWAY, "Position and velocity of one cycle")
 
 
 def _over_time(
     ranking: Ranking, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
 ) -> tuple[Figure, str]:
     """Draw position above velocity against time: the measurement broad and pale, the fit thin and dark."""
-    drawn, cells = panels(NARROW, 3.3, 2, sharex=True)
+    drawn, cells = drawing.panels(drawing.NARROW, 3.3, 2, sharex=True)
     styles, both = _measured_lines(ranking), cells[:, 0]
     whole = sum(part.shape[1] for part in measured) > MOST_VECTOR
     words = ["as measured", *([f"{ranking.best.name}, fitted"] if ranking.rows else [])]
-    for place, (axes, unit) in enumerate(zip(both, (POSITION, VELOCITY), strict=True), start=1):
+    for place, (axes, unit) in enumerate(zip(both, (drawing.POSITION, drawing.VELOCITY), strict=True), start=1):
         for part, style in zip(measured, styles, strict=True):
             axes.plot(part[0], part[place], rasterized=whole, **style)
         if fitted:
@@ -233,25 +214,25 @@ def _over_time(
         axes.set_ylabel(unit)
         axes.margins(x=0.01)
     for side in ranking.sides if ranking.rows else ():
-        both[1].axhline(side.best.parameters["v_dr"].value, color=INK, lw=0.8, ls=DASHED, label=BELT_SPEED)
+        both[1].axhline(side.best.parameters["v_dr"].value, color=INK, lw=0.8, ls=DASHED, label=drawing.BELT_SPEED)
     both[1].set_xlabel(label)
-    add_legend(drawn, both)
+    drawing.add_legend(drawn, both)
     return drawn, f"{about}: {' and '.join(words)}."
 
 
 def portraits(ranking: Ranking) -> tuple[Figure, str]:
     """Draw phase portraits of the laws over a typical cycle of each run; without a law, of the whole record."""
     if not ranking.rows:
-        drawn, ((axes,),) = panels(NARROW, 3.3)
+        drawn, ((axes,),) = drawing.panels(drawing.NARROW, 3.3)
         _, x, v = measured_motion(ranking.sides[0])
         axes.plot(x, v, color=MEASURED, rasterized=True)
-        axes.set(xlabel=POSITION, ylabel=VELOCITY)
+        axes.set(xlabel=drawing.POSITION, ylabel=drawing.VELOCITY)
         return drawn, "Velocity against position of the record."
     rows = [row for row in ranking.rows if row.asked or row.in_set or row is ranking.best]
     rows.sort(key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
     lines, columns = math.ceil(len(rows) / 4), min(len(rows), 4)
-    drawn, cells = panels(WIDE, 0.5 + 1.4 * lines, lines, columns, gap=0.1, sharex=True, sharey=True)
-    drawn.subplots_adjust(top=1 - 2 * ROW / drawn.get_figheight(), hspace=0.45)
+    drawn, cells = drawing.panels(drawing.WIDE, 0.5 + 1.4 * lines, lines, columns, gap=0.1, sharex=True, sharey=True)
+    drawn.subplots_adjust(top=1 - 2 * drawing.ROW / drawn.get_figheight(), hspace=0.45)
     styles = _styles(ranking)
     typical = [typical_cycle(side.best) for side in ranking.sides]
     for axes, row in zip(cells.flat, rows, strict=False):
@@ -263,19 +244,19 @@ def portraits(ranking: Ranking) -> tuple[Figure, str]:
         axes.set_title(f"{row.name}{' *' if row.in_set else ''}\n{pretty(format_length(row.rms_m))}", fontsize=8)
     for axes in cells.flat[len(rows) :]:
         axes.remove()
-    drawn.supxlabel(POSITION, fontsize=9)
-    drawn.supylabel(VELOCITY, fontsize=9)
+    drawn.supxlabel(drawing.POSITION, fontsize=9)
+    drawn.supylabel(drawing.VELOCITY, fontsize=9)
     return drawn, "Phase portraits of one cycle: as measured, and over it each law as fitted."
 
 
 def friction(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the measured curve with its band, and the laws of the set."""
-    drawn, ((axes,),) = panels(NARROW, 3.3)
+    drawn, ((axes,),) = drawing.panels(drawing.NARROW, 3.3)
     styles = _styles(ranking)
     rows = [row for row in ranking.rows if row.in_set] or [ranking.best]
     shown = [(row.fit, row.name, styles[row.law]) for row in rows]
     drawing.draw(axes, shown, ranking.motion, ranking.adequacy.curve)
-    add_legend(drawn, [axes])
+    drawing.add_legend(drawn, [axes])
     named = ", ".join(row.name for row in rows)
     measured = "along the cycles" if rows[0].fit.law.rate else "without a law, with its band"
     return drawn, f"Friction against slip speed: measured {measured}, and {named}."
@@ -295,7 +276,7 @@ def residuals(ranking: Ranking) -> tuple[Figure, str]:
     others = (row for row in ranking.rows if row is not best and not row.in_set)
     rival = next((row for row in others if row.rms_m > 1.2 * best.rms_m), None)
     shown = [(best, True), (best, False)] + ([(rival, False)] if rival is not None else [])
-    drawn, cells = panels(WIDE, 2.7, 1, len(shown))
+    drawn, cells = drawing.panels(drawing.WIDE, 2.7, 1, len(shown))
     noise = 1e6 * BAND * ranking.adequacy.noise_m
     for axes, (row, whole) in zip(cells[0], shown, strict=True):
         runs = _runs(ranking, styles[row.law]["color"], "model minus measurement")
@@ -308,9 +289,9 @@ def residuals(ranking: Ranking) -> tuple[Figure, str]:
         reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
         kind = ("all runs" if ranking.runs else "whole record") if whole else "all cycles"
         axes.set(ylim=(-reach, reach), title=f"{row.name}, {kind}")
-        axes.set_xlabel(time_label(ranking) if whole else SINCE_BREAK_AWAY)
+        axes.set_xlabel(time_label(ranking) if whole else drawing.SINCE_BREAK_AWAY)
     cells[0, 0].set_ylabel("residual (µm)")
-    add_legend(drawn, cells[0], marks=4.0)
+    drawing.add_legend(drawn, cells[0], marks=4.0)
     return drawn, "Residuals against time and against the time since the break-away, with the band of the noise."
 
 
@@ -326,8 +307,8 @@ def evidence(ranking: Ranking) -> tuple[Figure, str]:
     """Draw each cycle's error under each law, the basis of the ranking."""
     rows, styles = ranking.rows[::-1], _styles(ranking)
     named = [f"{row.name}{' *' if row.in_set else ''}" for row in rows]
-    left = 0.2 + LETTER * max(map(len, named))
-    drawn, ((axes,),) = panels(WIDE, 0.6 + 0.27 * len(rows), left=left)
+    left = 0.2 + drawing.LETTER * max(map(len, named))
+    drawn, ((axes,),) = drawing.panels(drawing.WIDE, 0.6 + 0.27 * len(rows), left=left)
     for place, row in enumerate(rows):
         cycles, colour = 1e6 * row.fit.cycle_rms, styles[row.law]["color"]
         axes.plot(cycles, np.full(cycles.size, place), "|", color=colour, ms=9, label=row.name)
@@ -342,7 +323,7 @@ def evidence(ranking: Ranking) -> tuple[Figure, str]:
 
 def levels(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
-    drawn, ((axes,),) = panels(NARROW, 2.8)
+    drawn, ((axes,),) = drawing.panels(drawing.NARROW, 2.8)
     for number, (side, begin) in enumerate(zip(ranking.sides, begins(ranking), strict=True)):
         events = [event for event in side.events if math.isfinite(event.kinetic_scale)]
         time = [begin + event.t for event in events]
@@ -353,7 +334,7 @@ def levels(ranking: Ranking) -> tuple[Figure, str]:
             named = "" if number else label
             axes.plot(time, [getattr(event, name) for event in events], "o-", lw=0.5, ms=4, label=named, **style)
     axes.set(xlabel=time_label(ranking), ylabel="level / mean sliding level")
-    add_legend(drawn, [axes])
+    drawing.add_legend(drawn, [axes])
     return drawn, "Friction level of each cycle at break-away and in the slip, against time."
 
 
@@ -364,7 +345,7 @@ def break_aways(ranking: Ranking) -> tuple[Figure, str]:
     time = np.concatenate([begin + run.column("t") for begin, run in zip(begins(ranking), statistics, strict=True)])
     level = factor * counted.column("break_away_m")
     mean = float(level.mean())
-    drawn, ((distribution, trend, against),) = panels(WIDE, 2.7, 1, 3)
+    drawn, ((distribution, trend, against),) = drawing.panels(drawing.WIDE, 2.7, 1, 3)
     bins = int(np.clip(np.sqrt(level.size), *BINS))
     distribution.hist(level, bins, color=COLOURS[2], alpha=0.55, edgecolor="white")
     distribution.axvline(mean, color=COLOURS[4], lw=0.8, ls=DASHED, label=f"mean {mean:.4g} {unit}")
@@ -393,7 +374,7 @@ def draw(ranking: Ranking) -> dict[str, str]:
     """Return the pictures of the report by name, as ``<svg>`` elements."""
     shown: list[Picture] = [*(PICTURES if ranking.rows else (record, portraits))]
     shown += [break_aways] if pooled(ranking.statistics).rows("m") else []
-    with look():
+    with drawing.look():
         stem = ranking.records[0].recording.source.stem or "run"
         named = ((picture.__name__, picture(ranking)) for picture in shown)
         return {name: embed(*drawn, name=f"{re.sub('[^A-Za-z0-9._-]', '-', stem)}-{name}") for name, drawn in named}

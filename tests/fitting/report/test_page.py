@@ -130,7 +130,7 @@ def test_a_fact_has_the_same_number_as_elsewhere(page, ranked):
     ranking = ranked(law=5)
     motion = ranking.records[0]
     assert f"<dt>stuck</dt><dd>{100 * motion.plateau_fraction:.0f} % of the record</dd>" in page
-    assert f" {motion.recording.time.size} samples; fitted from " in page
+    assert f"<dt>samples</dt><dd>{motion.recording.time.size}</dd>" in page
     speed = ranking.best.parameters["v_dr"]
     assert page.count(f"{speed.value:.{speed.decimals}f} ± {speed.stderr:.{speed.decimals}f}") == 2
 

@@ -5,6 +5,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from fitting import drawing
 from fitting.palette import RUNS, run_colour, run_dash, run_mark
 from fitting.report import pictures
 
@@ -12,7 +13,7 @@ from fitting.report import pictures
 @pytest.mark.parametrize("picture", pictures.PICTURES, ids=lambda picture: picture.__name__)
 def test_a_legend_stays_inside_its_picture_in_a_broad_font(picture, ranked):
     """Where the browser had no font narrower than DejaVu Sans the labels of a legend overlapped."""
-    with pictures.look():
+    with drawing.look():
         drawn, _ = picture(ranked(law=5))
         renderer = FigureCanvasAgg(drawn).get_renderer()
         for legend in drawn.legends:
@@ -23,7 +24,7 @@ def test_a_legend_stays_inside_its_picture_in_a_broad_font(picture, ranked):
 
 def test_coordinates_are_shortened_and_words_are_not():
     """Ticks at 0.025 and 0.05 once read 0.03 and 0.05."""
-    with pictures.look():
+    with drawing.look():
         drawn = Figure(figsize=(3, 2))
         drawn.subplots().plot([0.0, 0.05], [0, 1 / 3])
         drawn.axes[0].set(xticks=[0, 0.025, 0.05], title="a < b")
@@ -36,7 +37,7 @@ def test_coordinates_are_shortened_and_words_are_not():
 
 def test_a_line_of_each_law_is_told_apart_without_its_colour(ranked):
     ranking = ranked(law=5)
-    with pictures.look():
+    with drawing.look():
         drawn, _ = pictures.laws(ranking)
     lines = {line.get_label(): line for line in drawn.axes[0].lines}
     names = [row.name for row in ranking.rows if isinstance(row.law, int)]
