@@ -93,13 +93,12 @@ def none_of_six() -> PngFigure:
     """Draw the measured curve of a Stribeck contact with the six laws behind it, and the residuals of the best."""
     ranking = fitting.rank(record(*STRIBECK))
     rows = [row for row in ranking.rows if isinstance(row.law, int)]
-    drawn = figure(drawing.WIDE, 2.8)
-    left, right = drawn.subplots(1, 2)
+    drawn, ((left, right),) = drawing.panels(drawing.WIDE, 3.2, 1, 2)
     styles = law_styles(row.law for row in rows)
     drawing.draw(left, [(row.fit, row.name, styles[row.law]) for row in rows], ranking.motion, ranking.adequacy.curve)
     left.set_title("measured without a law; the six behind it")
-    left.legend(fontsize=7, ncols=2)
     residuals(right, ranking)
+    drawing.add_legend(drawn, [left])
     return drawn
 
 

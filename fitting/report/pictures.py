@@ -28,6 +28,7 @@ DPI = 110  # of what is drawn as an image
 MOST_VECTOR = 4000  # points of a line; a longer one is drawn as an image, and thinned in the table of its figure
 MOST_POINTS = 200_000  # points of a whole record that are drawn, or up to twice as many
 MM = 1e3  # positions are drawn in mm, speeds in m/s
+ABOVE = 1 + 1e-6  # of the belt's speed, which difference quotients reach to within rounding
 GAP = 0.01  # between runs that are drawn one after another, of the time of all
 BROAD, PALE, PALE_RUN = 3.0, 0.45, 0.65  # width and opacity of a measured line; opacity for several runs
 BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
@@ -139,7 +140,7 @@ def fitted_motion(row: LawResult, sign: float, measured: Part | None = None) -> 
     """Return the motion of a law in the windows of its fit, or while ``measured`` was, with NaN between windows.
 
     The ends of a window, where the velocity is a one-sided difference, are left out; so are slips above the belt's
-    speed, unless the law has memory.
+    speed (and the ramp's width), unless the law has memory.
     """
     windows = row.fit.windows
     model = windows.position + row.fit.residual
@@ -150,7 +151,7 @@ def fitted_motion(row: LawResult, sign: float, measured: Part | None = None) -> 
             time, x = windows.time[samples], model[samples]
             v = np.gradient(x, time)
             if not row.fit.law.rate:
-                v[(v > row.fit.values.v_dr) & (stick == 0)] = np.nan
+                v[(v > ABOVE * (row.fit.values.v_dr + row.fit.values.d)) & (stick == 0)] = np.nan
             part = np.stack((row.motion.begin + time, MM * sign * x, sign * v))[:, 1:-1]
             parts.append(np.hstack((part, np.full((3, 1), np.nan))))
     motion = np.hstack(parts)
