@@ -93,7 +93,7 @@ def none_of_six() -> PngFigure:
     """Draw the measured curve of a Stribeck contact with the six laws behind it, and the residuals of the best."""
     ranking = fitting.rank(record(*STRIBECK))
     rows = [row for row in ranking.rows if isinstance(row.law, int)]
-    drawn, ((left, right),) = drawing.panels(drawing.WIDE, 3.2, 1, 2)
+    drawn, ((left, right),) = drawing.panels(drawing.WIDE, 3.2, 1, 2, gap=0.85)
     styles = law_styles(row.law for row in rows)
     drawing.draw(left, [(row.fit, row.name, styles[row.law]) for row in rows], ranking.motion, ranking.adequacy.curve)
     left.set_title("measured without a law; the six behind it")
