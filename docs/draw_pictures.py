@@ -16,8 +16,9 @@ import daq
 import fitting
 import processing
 import rig_sim
-from fitting.judge import friction
-from fitting.palette import COLOURS, DASHES, INK, MEASURED
+from fitting import drawing
+from fitting.palette import COLOURS, INK, MEASURED, law_styles
+from fitting.report.pictures import since_break_away
 from stickslip.output.plot import STYLE, PngFigure, figure
 
 if TYPE_CHECKING:
@@ -47,11 +48,11 @@ def record(*changes: str) -> "processing.Kinematics":
 
 def laws() -> PngFigure:
     """Draw the six laws: three curves, each with a jump and with a ramp."""
-    drawn = figure(9.0, 3.0)
+    drawn = figure(drawing.WIDE, 2.4)
     w = np.linspace(-1, 0.3, 1301)
     for axes, title, curve, pair in zip(
         drawn.subplots(1, 3, sharey=True),
-        ("constant", "falling linearly", "falling hyperbolically"),
+        ("constant", "linear", "hyperbolic"),
         (np.ones_like, lambda s: 1 - 0.7 * s, lambda s: 1 / (1 + 5 * s)),
         ((1, 2), (3, 4), (5, 6)),
         strict=True,
@@ -62,26 +63,27 @@ def laws() -> PngFigure:
         ramp = np.where(np.abs(w) <= d, -w / d, -np.sign(w) * curve(s))
         for law, force in zip(pair, (jump, ramp), strict=True):
             axes.plot(w, force, color=COLOURS[law], ls="-" if law % 2 else "--", label=f"law {law}")
-        axes.set(title=title, xlabel="relative velocity w")
+        axes.set(title=title, xlabel="relative velocity $w$")
+        axes.locator_params(axis="x", nbins=4)
         axes.axhline(0, color=INK, lw=0.5)
         axes.axvline(0, color=INK, lw=0.5)
         axes.legend()
-    drawn.axes[0].set_ylabel("F/Fs")
+    drawn.axes[0].set_ylabel("$F/F_s$")
     return drawn
 
 
 def intervals() -> PngFigure:
     """Draw the intervals of gamma of repeated records, and the value that was simulated."""
-    drawn = figure(8.0, 3.2)
+    drawn = figure(drawing.WIDE, 2.8)
     axes = drawn.subplots()
     for seed in range(1, RUNS + 1):
         ranking = fitting.rank(record("friction.law=5", f"seed={seed}"))
         found = ranking.best.parameters["gamma"]
         axes.plot([seed, seed], [found.lo, found.hi], color=COLOURS[5], lw=3)
         axes.plot(seed, found.value, "o", color=INK, ms=4)
-    axes.axhline(GAMMA, color=INK, lw=1, ls="--", label=f"simulated: {GAMMA} s/m")
+    axes.axhline(GAMMA, color=INK, lw=1, ls="--", label=rf"simulated: $\gamma$ = {GAMMA} s/m")
     axes.set(
-        xlabel="record", ylabel="gamma (s/m)", title="95 % intervals of the same contact, recorded again and again"
+        xlabel="record", ylabel=r"$\gamma$ (s/m)", title="95 % intervals of the same contact, recorded again and again"
     )
     axes.legend()
     return drawn
@@ -91,24 +93,18 @@ def none_of_six() -> PngFigure:
     """Draw the measured curve of a Stribeck contact with the six laws behind it, and the residuals of the best."""
     ranking = fitting.rank(record(*STRIBECK))
     rows = [row for row in ranking.rows if isinstance(row.law, int)]
-    curve = ranking.adequacy.curve
-    drawn = figure(10.0, 3.6)
-    left, right = drawn.subplots(1, 2)
-    for row in rows:
-        force = np.abs(friction.friction_at(row.fit, ranking.motion, -curve.speed))
-        left.plot(curve.speed, force, color=COLOURS[row.law], ls=DASHES[row.law], lw=1, label=row.label)
-    left.fill_between(curve.speed, curve.lo, curve.hi, color=INK, alpha=0.25, lw=0)
-    left.plot(curve.speed, curve.friction, color=INK, lw=2, label="measured")
-    unit, title = ranking.adequacy.unit, "measured without a law; the six behind it"
-    left.set(xlabel="slip speed (m/s)", ylabel=f"friction ({unit})", title=title)
-    left.legend(fontsize=7, ncols=2)
+    drawn, ((left, right),) = drawing.panels(drawing.WIDE, 3.2, 1, 2, gap=0.85)
+    styles = law_styles(row.law for row in rows)
+    drawing.draw(left, [(row.fit, row.name, styles[row.law]) for row in rows], ranking.motion, ranking.adequacy.curve)
+    left.set_title("measured without a law; the six behind it")
     residuals(right, ranking)
+    drawing.add_legend(drawn, [left])
     return drawn
 
 
 def creep() -> PngFigure:
     """Draw a stick of a jump law and of a ramp law: velocity near that of the belt."""
-    drawn = figure(8.0, 3.0)
+    drawn = figure(drawing.WIDE, 2.6)
     axes = drawn.subplots()
     for law, style in ((5, "-"), (6, "--")):
         scene = rig_sim.scene("rig", **{"friction.law": law})
@@ -117,8 +113,8 @@ def creep() -> PngFigure:
         axes.plot(late.t, late.v, color=COLOURS[law], ls=style, label=f"law {law}")
     axes.axhline(0.22, color=MEASURED, lw=1, label="belt")
     axes.set(
-        xlabel="time (s)",
-        ylabel="velocity (m/s)",
+        xlabel=drawing.TIME,
+        ylabel=drawing.VELOCITY,
         ylim=(0.15, 0.27),
         title="a ramp lets the mass creep relative to the belt",
     )
@@ -129,10 +125,11 @@ def creep() -> PngFigure:
 def continuous_slip() -> PngFigure:
     """Draw stable and unstable motions over the friction level: where stick-slip ends as a contact wears."""
     scene = rig_sim.scene("rig", **{"damper.c": 0.4})
-    drawn = figure(8.0, 3.4)
+    drawn = figure(drawing.WIDE, 3.0)
     axes = drawn.subplots()
     rig_sim.continue_(scene, over="friction.Fs=0.1:1.4").plot(ax=axes)
-    axes.set(xlabel="friction.Fs (N)", ylabel="x (m)", title="solid: stable; dashed: unstable")  # the scene is in SI
+    # the scene is in SI
+    axes.set(xlabel="$F_s$ (N)", ylabel="position $x$ (m)", title="solid: stable; dashed: unstable")
     return drawn
 
 
@@ -143,7 +140,7 @@ def departures() -> PngFigure:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a table of counts and what it lacks
         ranking = fitting.rank(processing.smooth(daq.Recording.from_arrays(time, position, mass=0.3, x0=(0.0, 5e-4))))
-    drawn = figure(10.0, 3.4)
+    drawn = figure(drawing.WIDE, 2.8)
     left, right = drawn.subplots(1, 2)
     residuals(left, ranking)
     found = ranking.adequacy.departures[::-1]
@@ -155,12 +152,9 @@ def departures() -> PngFigure:
 def residuals(axes: "Axes", ranking: "fitting.Ranking") -> None:
     """Draw the residuals of the best law against the time since the break-away, with the band of the noise."""
     best = next(row for row in ranking.rows if isinstance(row.law, int))
-    phase = best.fit.windows.time.copy()
-    for part, cycle in zip(best.fit.rows, best.fit.cycles, strict=True):
-        phase[part] -= cycle.break_away
-    axes.plot(phase, 1e6 * best.fit.residual, ".", color=COLOURS[best.law], ms=1.5)
+    axes.plot(since_break_away(best), 1e6 * best.fit.residual, ".", color=COLOURS[best.law], ms=1.5)
     axes.axhspan(*(2e6 * ranking.adequacy.noise_m * np.array([-1, 1])), color=INK, alpha=0.25, lw=0)
-    axes.set(xlabel="time since break-away (s)", ylabel="residual (µm)", title=f"{best.label}: the misfit repeats")
+    axes.set(xlabel=drawing.SINCE_BREAK_AWAY, ylabel="residual (µm)", title=f"{best.name}: the misfit repeats")
 
 
 DRAWN = {
@@ -171,4 +165,4 @@ if __name__ == "__main__":
     os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
     for name in sys.argv[1:] or DRAWN:
         with mpl.rc_context(fname=STYLE):
-            DRAWN[name]().savefig(PICTURES / f"{name}.png", dpi=110)
+            DRAWN[name]().savefig(PICTURES / f"{name}.png", dpi=150)

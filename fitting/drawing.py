@@ -1,7 +1,9 @@
-"""Friction against relative speed: as measured without a law, and the curves of the laws."""
+"""The sizes, labels and legends of every figure of a fit, and friction against slip speed."""
 
+import math
 import textwrap
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -14,18 +16,28 @@ from fitting.palette import INK, MEASURED, law_styles
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
 from stickslip.compute.arrays import Array
-from stickslip.output.plot import STYLE, figure
+from stickslip.output.plot import STYLE, PngFigure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+NARROW, WIDE = 3.4, 7.0  # inches: half of the text of an A4 page, and all of it
+LEFT, RIGHT, BOTTOM, TITLE = 0.62, 0.15, 0.42, 0.24  # inches of margin
+ROW, KEY, LETTER = 0.17, 0.5, 0.062  # inches of a row of a legend, of its key, and of a letter
+POSITION, VELOCITY, TIME = "position $x$ (mm)", "velocity $v$ (m/s)", "time $t$ (s)"
+SINCE_BREAK_AWAY, SLIP_SPEED = "time since break-away (s)", "slip speed $s$ (m/s)"
+BELT_SPEED = r"belt speed $v_\mathrm{dr}$"
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
-COLUMNS = 140  # of a line of the title
+COLUMNS = 95  # of a line of the title
 MOST_POINTS = 12_000
 USUAL = 99.5  # percentile of the force balance up to which it is drawn
 
 Shown = Sequence[tuple[Fit, str, dict[str, Any]]]  # laws, best first, each with its name and line style
+
+
+def look() -> AbstractContextManager[None]:
+    return mpl.rc_context(fname=STYLE)
 
 
 def friction(
@@ -35,31 +47,64 @@ def friction(
     title: str,
     axes: "Axes | None" = None,
 ) -> Figure:
-    """Return friction against relative speed at all speeds (in ``axes``) and at low ones; laws best first."""
+    """Return friction against slip speed at all speeds (in ``axes``) and at low ones; laws best first."""
     styles = law_styles(fit.law.key for fit, _ in laws)
     shown = [(fit, name, styles[fit.law.key]) for fit, name in laws]
-    with mpl.rc_context(fname=STYLE):
+    with look():
         if axes is not None:
             draw(axes, shown, motion, measured)
             axes.legend()
             return axes.figure.figure
-        drawn = figure(11.5, 4.6)
-        draw_both(drawn.subplots(1, 2), shown, motion, measured)
-        drawn.axes[0].legend()
-        drawn.suptitle(textwrap.fill(title, COLUMNS), parse_math=False, x=0.01, ha="left", fontsize=10.5)
-    return drawn
+        return draw_both(shown, motion, measured, textwrap.fill(title, COLUMNS))
 
 
-def draw_both(axes: "Sequence[Axes]", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None) -> None:
-    whole, low = axes
+def draw_both(laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, title: str = "") -> Figure:
+    """Return a figure of all speeds and of the low ones."""
+    drawn, ((whole, low),) = panels(WIDE, 3.2 + ROW * title.count("\n"), 1, 2)
     draw(whole, laws, motion, measured)
     draw(low, laws, motion, measured, ZOOM)
     whole.set_title("all speeds")
     low.set(title="low speeds", ylabel="")
+    add_legend(drawn, [whole], title=title)
+    return drawn
+
+
+def panels(
+    width: float, height: float, rows: int = 1, columns: int = 1, *, left: float = LEFT, gap: float = LEFT, **more: Any
+) -> tuple[PngFigure, Any]:
+    """Return a figure (inches) and its axes, with fixed margins: a computed layout draws every picture twice."""
+    drawn = PngFigure(figsize=(width, height))
+    wide = (width - left - RIGHT - gap * (columns - 1)) / columns
+    cells = drawn.subplots(rows, columns, squeeze=False, **more)
+    drawn.subplots_adjust(left / width, BOTTOM / height, 1 - RIGHT / width, 1 - TITLE / height, gap / wide, 0.12)
+    return drawn, cells
+
+
+def add_legend(drawn: Figure, axes: "Sequence[Axes]", marks: float = 1.0, title: str = "") -> None:
+    """Put one legend of some axes above the figure, below its title; ``marks`` is the scale of its marks."""
+    lines = {name: line for one in axes for line, name in zip(*one.get_legend_handles_labels(), strict=True)}
+    width, height = drawn.get_size_inches()
+    columns = max(1, int((width - LEFT) / (KEY + LETTER * max(map(len, lines)))))
+    above = 1 - ROW * (title.count("\n") + 1.5) / height if title else 1.0
+    top = ROW * math.ceil(len(lines) / columns) + (TITLE if axes[0].get_title(loc="left") else 0.5 * ROW)
+    drawn.subplots_adjust(top=above - top / height)
+    drawn.legend(
+        lines.values(),
+        lines,
+        loc="upper left",
+        bbox_to_anchor=(LEFT / width, above),
+        ncols=columns,
+        borderaxespad=0,
+        borderpad=0,
+        labelspacing=0.3,
+        markerscale=marks,
+    )
+    if title:
+        drawn.suptitle(title, parse_math=False, x=0.01, y=0.99, ha="left")
 
 
 def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCurve | None, part: float = 1.0) -> None:
-    """Draw the laws, the first one heaviest, and the measurement up to a ``part`` of the largest relative speed.
+    """Draw the laws, the first one heaviest, and the measurement up to a ``part`` of the largest slip speed.
 
     Without ``measured``, or where the first law has memory, its force balance is drawn as points.  Where the level of
     the measurement is not determined, the band is that of the shape, and the laws are moved to its level.
@@ -82,9 +127,7 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
     low, high = min(ends), max(ends)
     room = 0.15 * (high - low)
     axes.set_ylim(low - room if low < 0 or (measured and not measured.level_known) else 0.0, high + room)
-    axes.set(
-        xlim=(max(1.05 * slowest, -reach), reach), xlabel="relative speed (m/s)", ylabel=f"friction ({unit(motion)})"
-    )
+    axes.set(xlim=(max(1.05 * slowest, -reach), reach), xlabel=SLIP_SPEED, ylabel=f"friction $F$ ({unit(motion)})")
 
 
 def _force(fit: Fit, motion: MeasuredMotion, speed: Array) -> Array:

@@ -68,7 +68,8 @@ class ComparedRun:
         if item is None:
             return None
         stderr, lo, hi = (math.nan if item[key] is None else item[key] for key in ("stderr", "lo", "hi"))
-        return Parameter(item["value"], stderr, lo, hi, item["unit"], trusted=item["stderr"] is not None)
+        trusted = item["stderr"] is not None
+        return page.in_shown_unit(Parameter(item["value"], stderr, lo, hi, item["unit"], trusted=trusted))
 
 
 def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
@@ -101,7 +102,7 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
     return page.template("comparison.html").render(
         mark=Markup(_mark([run.file for run in runs])),
         rows=[_row(number, run, names, styles) for number, run in enumerate(runs, start=1)],
-        names=[f"{name} ({symbols.pretty(units[name])})" for name in names],
+        names=[(name, symbols.pretty(units[name])) for name in names],
         picture=Markup(draw(runs, names, units, styles)) if names else "",
         symbols=symbols.symbols(names),
         summary=summary,
@@ -118,25 +119,19 @@ def _row(number: int, run: ComparedRun, names: Sequence[str], styles: Styles) ->
         "laws": ", ".join(map(str, run.members)) or "–",
         "verdict": symbols.pretty(run.document["verdict"]) if run.failure is None else f"error: {run.failure.what}",
         "colour": styles[run.law]["color"] if run.law is not None else "",
-        "parameters": [_value(run.parameter(name)) for name in names] if run.law is not None else [],
+        "parameters": [run.parameter(name) for name in names] if run.law is not None else [],
     }
-
-
-def _value(item: Parameter | None) -> tuple[str, str]:
-    if item is None:
-        return "–", ""
-    value, _, interval, _ = page.format_interval(item)
-    return value, interval
 
 
 def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str], styles: Styles) -> str:
     """Draw a panel for each parameter, with value and interval of each run."""
+    from fitting import drawing
     from fitting.report import pictures
 
     lines = -(-len(names) // COLUMNS)
-    with pictures.look():
+    with drawing.look():
         height = lines * (HEAD + PER_RUN * len(runs))
-        drawn, cells = pictures.panels(pictures.WIDE, height, lines, COLUMNS, gap=0.2, sharey=True)
+        drawn, cells = drawing.panels(drawing.WIDE, height, lines, COLUMNS, gap=0.2, sharey=True)
         drawn.subplots_adjust(hspace=HEAD / (PER_RUN * len(runs)))
         panels = cells.flat
         for axes, name in zip(panels, names, strict=False):
@@ -148,7 +143,7 @@ def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, 
                     axes.plot([item.lo, item.hi], [number, number], color=colour, lw=2.2)
                     axes.plot(item.value, number, "o", color=colour, mfc=filled, ms=5)
             axes.locator_params(axis="x", nbins=6)
-            axes.set(title=name, xlabel=f"{name} ({symbols.pretty(units[name])})")
+            axes.set_xlabel(f"{symbols.mathtext(name)} ({symbols.pretty(units[name])})")
         for axes in panels:
             axes.remove()
         drawn.axes[0].set_yticks(range(1, len(runs) + 1), [f"run {number}" for number in range(1, len(runs) + 1)])

@@ -3,13 +3,12 @@
 import html
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.runfile import store
-from daq.runfile.recording import Recording
 from fitting.judge.adequacy import Adequacy
 from fitting.judge.parameters import Correlations, Parameter
 from fitting.palette import law_styles, run_colour
@@ -19,7 +18,7 @@ from fitting.words.verdict import format_probability
 from processing.statistics import pooled
 from stickslip.errors import InputError
 from stickslip.output import atomic
-from stickslip.output.lengths import format_length
+from stickslip.output.lengths import format_length, shown_length
 from stickslip.text import storable
 from stickslip.version import VERSION
 
@@ -151,7 +150,7 @@ def _badge(ranking: Ranking) -> tuple[str, str]:
     if not ranking.rows:
         return "open", "no law fitted"
     if ranking.adequacy.rejected:
-        return "open", f"{ranking.best.label} does not describe the record"
+        return "open", "no law describes the record"
     several = len(ranking.members) > 1
     if not ranking.adequacy.adequate:
         return "open", "several laws fit, not judged" if several else "goodness of fit not judged"
@@ -166,14 +165,13 @@ def _headline(best: LawResult) -> dict[str, Parameter]:
     return {name: parameters[name] for name in shown}
 
 
-def _symbol(name: str) -> "Markup":
-    """Return the name of a parameter, typeset unless it is a combination of several."""
-    from markupsafe import Markup
-
-    if re.fullmatch(r"\w+(/m)?", name) is None:
-        return Markup.escape(name)
-    parts = "<mo>/</mo>".join(map(symbols.identifier, name.split("/")))
-    return Markup(f"<math>{parts}</math>")
+def in_shown_unit(item: Parameter) -> Parameter:
+    """Return a parameter with a length in mm, as positions are shown."""
+    if item.unit != "m":
+        return item
+    factor, unit = shown_length("m")
+    ends = {name: factor * getattr(item, name) for name in ("value", "stderr", "lo", "hi")}
+    return replace(item, unit=unit, **ends)
 
 
 def _typeset(row: LawResult) -> "tuple[Markup, str]":
@@ -182,14 +180,6 @@ def _typeset(row: LawResult) -> "tuple[Markup, str]":
 
     curve, contact = symbols.typeset(row.fit.law)
     return Markup(curve), contact
-
-
-def _when(recording: Recording) -> str:
-    """Return the time of recording, or of the last change of an imported table, without fractions of a second."""
-    started = recording.started
-    with suppress(ValueError):
-        started = datetime.fromisoformat(started).isoformat(" ", timespec="seconds")
-    return (recording.when.removesuffix(recording.started) or "recorded ") + started
 
 
 def smallest_departure(adequacy: Adequacy) -> str:
@@ -229,16 +219,24 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     return f"{item.value:.{digits}f}", f"{item.stderr:#.2g}".rstrip("."), interval, unit
 
 
+def format_estimate(item: Parameter) -> str:
+    """Return value and standard error with two digits of the error; no error where it is withheld."""
+    value, error, _, _ = format_interval(item)
+    if item.fixed:
+        return f"{value} ({error})"
+    return f"{value} ± {item.stderr:.{item.decimals}f}" if item.trusted else value
+
+
 FILTERS: dict[str, Callable[..., Any]] = {
+    "estimate": lambda item: format_estimate(in_shown_unit(item)),
     "evidence": format_evidence,
-    "interval": format_interval,
+    "interval": lambda item: format_interval(in_shown_unit(item)),
     "length_text": lambda value: symbols.pretty(format_length(value)),
     "pretty": symbols.pretty,
     "probability": format_probability,
     "shade": lambda value: f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})",
     "signed": _signed,
     "strongest": _strongest,
-    "symbol": _symbol,
+    "symbol": symbols.parameter,
     "typeset": _typeset,
-    "when": _when,
 }

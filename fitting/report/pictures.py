@@ -1,12 +1,14 @@
 """The pictures of a page as SVG; of a joint fit with all runs, each in its colour, dashes and marks."""
 
+import base64
+import csv
 import html
 import io
 import math
 import re
+import zipfile
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -21,21 +23,12 @@ from fitting.result import LawResult, Ranking
 from processing.statistics import pooled
 from stickslip.compute.arrays import Array
 from stickslip.output.lengths import format_length, shown_length
-from stickslip.output.plot import STYLE
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
-NARROW, WIDE = 4.6, 9.4  # inches: half of the page, and all of it
-LEFT, RIGHT, BOTTOM, TITLE = 0.62, 0.08, 0.42, 0.24  # inches of margin
-ROW, KEY, LETTER = 0.17, 0.5, 0.062  # inches of a row of a legend, of its key, and of a letter
 DPI = 110  # of what is drawn as an image
-MOST_VECTOR = 4000  # points of a line; a longer one is drawn as an image
+MOST_VECTOR = 4000  # points of a line; a longer one is drawn as an image, and thinned in the table of its figure
 MOST_POINTS = 200_000  # points of a whole record that are drawn, or up to twice as many
-LOOK: dict[Any, Any] = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 9)
-LOOK |= dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8) | {"savefig.bbox": "standard"}
 MM = 1e3  # positions are drawn in mm, speeds in m/s
+ABOVE = 1 + 1e-6  # of the belt's speed, which difference quotients reach to within rounding
 GAP = 0.01  # between runs that are drawn one after another, of the time of all
 BROAD, PALE, PALE_RUN = 3.0, 0.45, 0.65  # width and opacity of a measured line; opacity for several runs
 BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
@@ -44,22 +37,60 @@ BINS = (4, 30)  # fewest and most of the distribution, whose number is the squar
 Part = Array  # (3, n) time (s), position (mm), velocity (m/s)
 
 
-def look() -> AbstractContextManager[None]:
-    return mpl.rc_context(LOOK, fname=STYLE)
-
-
 def embed(drawn: Figure, about: str, name: str) -> str:
-    """Return a figure as an ``<svg>`` element with a unique ``name``; ``about`` is the text alternative."""
+    """Return a figure as an ``<svg>`` element with a unique ``name``, and a link that saves it with its data.
+
+    ``about`` is the text alternative.
+    """
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    with mpl.rc_context({"svg.hashsalt": name}):
+    with mpl.rc_context({"svg.hashsalt": name, "savefig.bbox": "standard"}):
         drawn.savefig(buffer, format="svg", dpi=DPI, transparent=True, metadata=nothing)
     text = buffer.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|(<g) id=\"[^\"]*\"", r"\1", text, flags=re.DOTALL)
     text = re.sub(r"=\"[^\"]*\"", lambda value: re.sub(r"(\.\d\d)\d+", r"\1", value[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", re.sub(r"font: ([\d.]+px) [^;\"]*", r"font: \1 sans-serif", text))
     shown = f'<svg role="img" aria-label="{html.escape(about)}" style="max-width: {130 * drawn.get_figwidth():.0f}px"'
-    return text[text.index("<svg") :].replace("<svg", shown, 1)
+    picture = text[text.index("<svg") :].replace("<svg", shown, 1)
+    saved = _archive(name, picture, drawn)
+    return f'{picture}<a class="save" download="{name}.zip" href="{saved}">SVG and data (CSV)</a>'
+
+
+def _archive(name: str, picture: str, drawn: Figure) -> str:
+    """Return the address of an archive of a figure and of what it shows."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file, text in ((f"{name}.svg", picture), (f"{name}.csv", as_csv(drawn))):
+            archive.writestr(zipfile.ZipInfo(file), text, zipfile.ZIP_DEFLATED)
+    return f"data:application/zip;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def as_csv(drawn: Figure) -> str:
+    """Return the curves, bands (as outlines) and bars of a figure as a table with a row for each point.
+
+    A curve of more than `MOST_VECTOR` points is thinned to every n-th.
+    """
+    text = io.StringIO()
+    table = csv.writer(text)
+    table.writerow(("panel", "curve", "x axis", "y axis", "x", "y"))
+    below, beside = drawn.get_supxlabel(), drawn.get_supylabel()
+    for axes in drawn.axes:
+        curves: list[tuple[Any, Any]] = [
+            (line.get_label(), line.get_xydata()) for line in axes.lines if line.get_transform() == axes.transData
+        ]
+        curves += [(band.get_label(), path.vertices) for band in axes.collections for path in band.get_paths()]
+        curves += [("", [(*bar.get_center()[:1], bar.get_height()) for bar in bars]) for bars in axes.containers]
+        labels = (axes.get_xlabel() or below or drawn.axes[-1].get_xlabel(), axes.get_ylabel() or beside)
+        for name, points in curves:
+            head = [_plain(part) for part in (axes.get_title(loc="left"), "" if name[:1] == "_" else name, *labels)]
+            thinned = points[:: math.ceil(len(points) / MOST_VECTOR) or 1]
+            table.writerows((*head, f"{x:.7g}", f"{y:.7g}") for x, y in thinned if not math.isnan(x + y))
+    return text.getvalue()
+
+
+def _plain(label: str) -> str:
+    """Return a label without the marks of typeset symbols."""
+    return re.sub(r"\$|\\mathrm|[{}]", "", label).replace("\n", ", ")
 
 
 def shown_rows(ranking: Ranking) -> list[LawResult]:
@@ -86,37 +117,6 @@ def _measured_lines(ranking: Ranking) -> list[dict[str, Any]]:
     return [run | broad | {"ls": run_dash(number)} for number, run in runs]
 
 
-def panels(
-    width: float, height: float, rows: int = 1, columns: int = 1, *, left: float = LEFT, gap: float = LEFT, **more: Any
-) -> tuple[Figure, Any]:
-    """Return a figure (inches) and its axes, with fixed margins: a computed layout draws every picture twice."""
-    drawn = Figure(figsize=(width, height))
-    wide = (width - left - RIGHT - gap * (columns - 1)) / columns
-    cells = drawn.subplots(rows, columns, squeeze=False, **more)
-    drawn.subplots_adjust(left / width, BOTTOM / height, 1 - RIGHT / width, 1 - TITLE / height, gap / wide, 0.12)
-    return drawn, cells
-
-
-def _legend(drawn: Figure, axes: Sequence["Axes"], marks: float = 1.0) -> None:
-    """Put one legend of some axes above the figure; ``marks`` is the scale of its marks."""
-    lines = {name: line for one in axes for line, name in zip(*one.get_legend_handles_labels(), strict=True)}
-    width, height = drawn.get_size_inches()
-    columns = max(1, int((width - LEFT) / (KEY + LETTER * max(map(len, lines)))))
-    top = ROW * math.ceil(len(lines) / columns) + (TITLE if axes[0].get_title(loc="left") else RIGHT)
-    drawn.subplots_adjust(top=1 - top / height)
-    drawn.legend(
-        lines.values(),
-        lines,
-        loc="upper left",
-        bbox_to_anchor=(LEFT / width, 1),
-        ncols=columns,
-        borderaxespad=0,
-        borderpad=0,
-        labelspacing=0.3,
-        markerscale=marks,
-    )
-
-
 def typical_cycle(row: LawResult) -> Cycle:
     """Return the cycle with a law's median error."""
     order = np.argsort(row.fit.cycle_rms, kind="stable")
@@ -136,23 +136,28 @@ def measured_motion(side: Ranking, cycle: Cycle | None = None) -> Part:
     return np.stack((time, MM * motion.sign * motion.position[samples], motion.sign * motion.velocity[samples]))
 
 
-def fitted_motion(row: LawResult, sign: float, number: int | None = None) -> Part:
-    """Return the motion of a law in the windows of its fit, or of one cycle, with NaN between windows.
+def fitted_motion(row: LawResult, sign: float, measured: Part | None = None) -> Part:
+    """Return the motion of a law in the windows of its fit, or while ``measured`` was, with NaN between windows.
 
-    The ends of a window, where the velocity is a one-sided difference, and slips above the belt's speed are left out.
+    The ends of a window, where the velocity is a one-sided difference, are left out; so are slips above the belt's
+    speed (and the ramp's width), unless the law has memory.
     """
     windows = row.fit.windows
     model = windows.position + row.fit.residual
     parts: list[Array] = [np.empty((3, 0))]
-    for cycle, stick, first, count, *_ in windows.table:
-        if count > 3 and number in (None, row.fit.cycles[cycle].number):
+    for _, stick, first, count, *_ in windows.table:
+        if count > 3:
             samples = slice(first, first + count)
             time, x = windows.time[samples], model[samples]
             v = np.gradient(x, time)
-            v[(v > row.fit.values.v_dr) & (stick == 0)] = np.nan
+            if not row.fit.law.rate:
+                v[(v > ABOVE * (row.fit.values.v_dr + row.fit.values.d)) & (stick == 0)] = np.nan
             part = np.stack((row.motion.begin + time, MM * sign * x, sign * v))[:, 1:-1]
             parts.append(np.hstack((part, np.full((3, 1), np.nan))))
-    return np.hstack(parts)
+    motion = np.hstack(parts)
+    if measured is None:
+        return motion
+    return motion[:, ~((motion[0] < measured[0, 0]) | (motion[0] > measured[0, -1]))]
 
 
 def begins(ranking: Ranking) -> list[float]:
@@ -166,7 +171,7 @@ def begins(ranking: Ranking) -> list[float]:
 
 
 def time_label(ranking: Ranking) -> str:
-    return "time, one run after another (s)" if ranking.runs else "time (s)"
+    return "time, runs in sequence (s)" if ranking.runs else drawing.TIME
 
 
 def record(ranking: Ranking) -> tuple[Figure, str]:
@@ -186,22 +191,22 @@ def cycle(ranking: Ranking) -> tuple[Figure, str]:
     for side in ranking.sides:
         typical = typical_cycle(side.best)
         shift = np.array([[side.motion.begin + typical.break_away], [0.0], [0.0]])
-        part = measured_motion(side, typical) - shift
+        part = measured_motion(side, typical)
         part[1] = MM * side.motion.sign * side.motion.measured[extent(typical)]
-        measured.append(part)
-        fitted.append(fitted_motion(side.best, side.motion.sign, typical.number) - shift)
-    return _over_time(ranking, measured, fitted, "time since break-away (s)", "Position and velocity of one cycle")
+        measured.append(part - shift)
+        fitted.append(fitted_motion(side.best, side.motion.sign, part) - shift)
+    return _over_time(ranking, measured, fitted, drawing.SINCE_BREAK_AWAY, "Position and velocity of one cycle")
 
 
 def _over_time(
     ranking: Ranking, measured: Sequence[Part], fitted: Sequence[Part], label: str, about: str
 ) -> tuple[Figure, str]:
     """Draw position above velocity against time: the measurement broad and pale, the fit thin and dark."""
-    drawn, cells = panels(NARROW, 3.3, 2, sharex=True)
+    drawn, cells = drawing.panels(drawing.NARROW, 3.3, 2, sharex=True)
     styles, both = _measured_lines(ranking), cells[:, 0]
     whole = sum(part.shape[1] for part in measured) > MOST_VECTOR
-    words = ["as measured", *([f"{ranking.best.label}, fitted"] if ranking.rows else [])]
-    for place, (axes, unit) in enumerate(zip(both, ("x (mm)", "v (m/s)"), strict=True), start=1):
+    words = ["as measured", *([f"{ranking.best.name}, fitted"] if ranking.rows else [])]
+    for place, (axes, unit) in enumerate(zip(both, (drawing.POSITION, drawing.VELOCITY), strict=True), start=1):
         for part, style in zip(measured, styles, strict=True):
             axes.plot(part[0], part[place], rasterized=whole, **style)
         if fitted:
@@ -210,62 +215,60 @@ def _over_time(
         axes.set_ylabel(unit)
         axes.margins(x=0.01)
     for side in ranking.sides if ranking.rows else ():
-        both[1].axhline(side.best.parameters["v_dr"].value, color=INK, lw=0.8, ls=DASHED, label="belt speed")
+        both[1].axhline(side.best.parameters["v_dr"].value, color=INK, lw=0.8, ls=DASHED, label=drawing.BELT_SPEED)
     both[1].set_xlabel(label)
-    _legend(drawn, both)
+    drawing.add_legend(drawn, both)
     return drawn, f"{about}: {' and '.join(words)}."
 
 
 def portraits(ranking: Ranking) -> tuple[Figure, str]:
     """Draw phase portraits of the laws over a typical cycle of each run; without a law, of the whole record."""
     if not ranking.rows:
-        drawn, ((axes,),) = panels(NARROW, 3.3)
+        drawn, ((axes,),) = drawing.panels(drawing.NARROW, 3.3)
         _, x, v = measured_motion(ranking.sides[0])
         axes.plot(x, v, color=MEASURED, rasterized=True)
-        axes.set(xlabel="position (mm)", ylabel="velocity (m/s)")
+        axes.set(xlabel=drawing.POSITION, ylabel=drawing.VELOCITY)
         return drawn, "Velocity against position of the record."
     rows = [row for row in ranking.rows if row.asked or row.in_set or row is ranking.best]
     rows.sort(key=lambda row: row.law if isinstance(row.law, int) else len(COLOURS) + 1)
-    lines, columns = math.ceil(len(rows) / 3), min(len(rows), 3)
-    drawn, cells = panels(NARROW, 0.5 + 1.4 * lines, lines, columns, gap=0.1, sharex=True, sharey=True)
-    drawn.subplots_adjust(top=1 - 2 * ROW / drawn.get_figheight(), hspace=0.45)
+    lines, columns = math.ceil(len(rows) / 4), min(len(rows), 4)
+    drawn, cells = drawing.panels(drawing.WIDE, 0.5 + 1.4 * lines, lines, columns, gap=0.1, sharex=True, sharey=True)
+    drawn.subplots_adjust(top=1 - 2 * drawing.ROW / drawn.get_figheight(), hspace=0.45)
     styles = _styles(ranking)
     typical = [typical_cycle(side.best) for side in ranking.sides]
     for axes, row in zip(cells.flat, rows, strict=False):
         for side, one, style in zip(ranking.sides, typical, _measured_lines(ranking), strict=True):
-            _, x, v = measured_motion(side, one)
-            axes.plot(x, v, **style)
-            _, x, v = fitted_motion(side.row(row.law), side.motion.sign, one.number)
-            axes.plot(x, v, lw=1.1, color=styles[row.law]["color"])
-        axes.set_title(f"{row.label}{' *' if row.in_set else ''}\n{pretty(format_length(row.rms_m))}", fontsize=8)
+            measured = measured_motion(side, one)
+            axes.plot(*measured[1:], **style)
+            _, x, v = fitted_motion(side.row(row.law), side.motion.sign, measured)
+            axes.plot(x, v, lw=1.1, color=styles[row.law]["color"], label=row.name)
+        axes.set_title(f"{row.name}{' *' if row.in_set else ''}\n{pretty(format_length(row.rms_m))}", fontsize=8)
     for axes in cells.flat[len(rows) :]:
         axes.remove()
-    drawn.supxlabel("position (mm)", fontsize=9)
-    drawn.supylabel("velocity (m/s)", fontsize=9)
+    drawn.supxlabel(drawing.POSITION, fontsize=9)
+    drawn.supylabel(drawing.VELOCITY, fontsize=9)
     return drawn, "Phase portraits of one cycle: as measured, and over it each law as fitted."
 
 
 def friction(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the measured curve with its band, and the laws of the set."""
-    drawn, ((axes,),) = panels(NARROW, 3.3)
+    drawn, ((axes,),) = drawing.panels(drawing.NARROW, 3.3)
     styles = _styles(ranking)
     rows = [row for row in ranking.rows if row.in_set] or [ranking.best]
-    shown = [(row.fit, row.label, styles[row.law]) for row in rows]
+    shown = [(row.fit, row.name, styles[row.law]) for row in rows]
     drawing.draw(axes, shown, ranking.motion, ranking.adequacy.curve)
-    _legend(drawn, [axes])
-    named = ", ".join(row.label for row in rows)
+    drawing.add_legend(drawn, [axes])
+    named = ", ".join(row.name for row in rows)
     measured = "along the cycles" if rows[0].fit.law.rate else "without a law, with its band"
-    return drawn, f"Friction against relative speed: measured {measured}, and {named}."
+    return drawn, f"Friction against slip speed: measured {measured}, and {named}."
 
 
 def laws(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the measured curve with its band and all shown laws, at all speeds and at low ones."""
-    drawn, cells = panels(WIDE, 3.4, 1, 2)
     styles = _styles(ranking)
-    shown = [(row.fit, row.label, styles[row.law]) for row in shown_rows(ranking)]
-    drawing.draw_both(cells[0], shown, ranking.motion, ranking.adequacy.curve)
-    _legend(drawn, cells[0])
-    return drawn, "Friction against relative speed: the curves of the laws, at all speeds and at low ones."
+    shown = [(row.fit, row.name, styles[row.law]) for row in shown_rows(ranking)]
+    drawn = drawing.draw_both(shown, ranking.motion, ranking.adequacy.curve)
+    return drawn, "Friction against slip speed: the curves of the laws, at all speeds and at low ones."
 
 
 def residuals(ranking: Ranking) -> tuple[Figure, str]:
@@ -274,26 +277,26 @@ def residuals(ranking: Ranking) -> tuple[Figure, str]:
     others = (row for row in ranking.rows if row is not best and not row.in_set)
     rival = next((row for row in others if row.rms_m > 1.2 * best.rms_m), None)
     shown = [(best, True), (best, False)] + ([(rival, False)] if rival is not None else [])
-    drawn, cells = panels(WIDE, 2.7, 1, len(shown))
+    drawn, cells = drawing.panels(drawing.WIDE, 2.7, 1, len(shown))
     noise = 1e6 * BAND * ranking.adequacy.noise_m
     for axes, (row, whole) in zip(cells[0], shown, strict=True):
         runs = _runs(ranking, styles[row.law]["color"], "model minus measurement")
         for side, begin, style in zip(ranking.sides, begins(ranking), runs, strict=True):
             one = side.row(row.law)
-            time = one.motion.begin + one.fit.windows.time + begin if whole else _since_break_away(one)
+            time = one.motion.begin + one.fit.windows.time + begin if whole else since_break_away(one)
             dots = style | {"marker": ".", "mec": "none", "ms": 2}
             axes.plot(time, 1e6 * one.fit.residual, ls="", rasterized=True, **dots)
         axes.axhspan(-noise, noise, color=INK, alpha=0.16, lw=0, label="noise, ±2 sd")
         reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
         kind = ("all runs" if ranking.runs else "whole record") if whole else "all cycles"
-        axes.set(ylim=(-reach, reach), title=f"{row.label}, {kind}")
-        axes.set_xlabel(time_label(ranking) if whole else "time since break-away (s)")
+        axes.set(ylim=(-reach, reach), title=f"{row.name}, {kind}")
+        axes.set_xlabel(time_label(ranking) if whole else drawing.SINCE_BREAK_AWAY)
     cells[0, 0].set_ylabel("residual (µm)")
-    _legend(drawn, cells[0], marks=4.0)
+    drawing.add_legend(drawn, cells[0], marks=4.0)
     return drawn, "Residuals against time and against the time since the break-away, with the band of the noise."
 
 
-def _since_break_away(row: LawResult) -> Array:
+def since_break_away(row: LawResult) -> Array:
     time = row.fit.windows.time
     phase = np.empty(time.size)
     for part, cycle in zip(row.fit.rows, row.fit.cycles, strict=True):
@@ -304,12 +307,12 @@ def _since_break_away(row: LawResult) -> Array:
 def evidence(ranking: Ranking) -> tuple[Figure, str]:
     """Draw each cycle's error under each law, the basis of the ranking."""
     rows, styles = ranking.rows[::-1], _styles(ranking)
-    named = [f"{row.label}{' *' if row.in_set else ''}" for row in rows]
-    left = 0.2 + LETTER * max(map(len, named))
-    drawn, ((axes,),) = panels(NARROW, 0.6 + 0.27 * len(rows), left=left)
+    named = [f"{row.name}{' *' if row.in_set else ''}" for row in rows]
+    left = 0.2 + drawing.LETTER * max(map(len, named))
+    drawn, ((axes,),) = drawing.panels(drawing.WIDE, 0.6 + 0.27 * len(rows), left=left)
     for place, row in enumerate(rows):
         cycles, colour = 1e6 * row.fit.cycle_rms, styles[row.law]["color"]
-        axes.plot(cycles, np.full(cycles.size, place), "|", color=colour, ms=9)
+        axes.plot(cycles, np.full(cycles.size, place), "|", color=colour, ms=9, label=row.name)
         axes.plot(np.exp(np.mean(np.log(cycles))), place, "o", color=colour, ms=5)
     axes.set_yticks(range(len(rows)), named)
     axes.set_xscale("log", subs=())
@@ -321,7 +324,7 @@ def evidence(ranking: Ranking) -> tuple[Figure, str]:
 
 def levels(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
-    drawn, ((axes,),) = panels(NARROW, 2.8)
+    drawn, ((axes,),) = drawing.panels(drawing.NARROW, 2.8)
     for number, (side, begin) in enumerate(zip(ranking.sides, begins(ranking), strict=True)):
         events = [event for event in side.events if math.isfinite(event.kinetic_scale)]
         time = [begin + event.t for event in events]
@@ -332,7 +335,7 @@ def levels(ranking: Ranking) -> tuple[Figure, str]:
             named = "" if number else label
             axes.plot(time, [getattr(event, name) for event in events], "o-", lw=0.5, ms=4, label=named, **style)
     axes.set(xlabel=time_label(ranking), ylabel="level / mean sliding level")
-    _legend(drawn, [axes])
+    drawing.add_legend(drawn, [axes])
     return drawn, "Friction level of each cycle at break-away and in the slip, against time."
 
 
@@ -343,7 +346,7 @@ def break_aways(ranking: Ranking) -> tuple[Figure, str]:
     time = np.concatenate([begin + run.column("t") for begin, run in zip(begins(ranking), statistics, strict=True)])
     level = factor * counted.column("break_away_m")
     mean = float(level.mean())
-    drawn, ((distribution, trend, against),) = panels(WIDE, 2.7, 1, 3)
+    drawn, ((distribution, trend, against),) = drawing.panels(drawing.WIDE, 2.7, 1, 3)
     bins = int(np.clip(np.sqrt(level.size), *BINS))
     distribution.hist(level, bins, color=COLOURS[2], alpha=0.55, edgecolor="white")
     distribution.axvline(mean, color=COLOURS[4], lw=0.8, ls=DASHED, label=f"mean {mean:.4g} {unit}")
@@ -372,5 +375,7 @@ def draw(ranking: Ranking) -> dict[str, str]:
     """Return the pictures of the report by name, as ``<svg>`` elements."""
     shown: list[Picture] = [*(PICTURES if ranking.rows else (record, portraits))]
     shown += [break_aways] if pooled(ranking.statistics).rows("m") else []
-    with look():
-        return {picture.__name__: embed(*picture(ranking), name=picture.__name__) for picture in shown}
+    with drawing.look():
+        stem = ranking.records[0].recording.source.stem or "run"
+        named = ((picture.__name__, picture(ranking)) for picture in shown)
+        return {name: embed(*drawn, name=f"{re.sub('[^A-Za-z0-9._-]', '-', stem)}-{name}") for name, drawn in named}

@@ -18,7 +18,7 @@ LETTERS = (
     "phi chi psi omega"
 )
 GREEK = {name: chr(code) for code, name in enumerate(LETTERS.split(), start=0x3B1)}
-INDEXED = re.compile(r"([A-Z])([a-z]{1,2}\d?|\d)")  # Fs, Fc, F0
+INDEXED = re.compile(r"([A-Z](?=[a-z])|[A-Za-z](?=\d))([a-z]{0,2}\d?)")  # Fs, Fc, F0, x0
 
 
 def typeset_formula(text: str) -> str:
@@ -30,12 +30,30 @@ def typeset_formula(text: str) -> str:
 
 
 def identifier(name: str) -> str:
+    parts = [f"<mi>{html.escape(part)}</mi>" for part in _split(name)]
+    return f"<msub>{''.join(parts)}</msub>" if len(parts) > 1 else parts[0]
+
+
+def _split(name: str) -> list[str]:
+    """Return a symbol and its index, if it has one."""
     indexed = INDEXED.fullmatch(name)
     first, _, below = name.partition("_") if indexed is None else (indexed[1], "", indexed[2])
-    if not first:
-        first, below = name, ""
-    parts = [f"<mi>{html.escape(GREEK.get(part, part))}</mi>" for part in (first, below) if part]
-    return f"<msub>{''.join(parts)}</msub>" if len(parts) > 1 else parts[0]
+    return [GREEK.get(part, part) for part in ((first, below) if first else (name,)) if part]
+
+
+def parameter(name: str) -> str:
+    """Return the name of a parameter, which may be a combination of several, as MathML."""
+    words = re.findall(r"\w+|[^\w\s]", name)
+    return f"<math>{''.join(identifier(word) if word[0].isalpha() else f'<mo>{word}</mo>' for word in words)}</math>"
+
+
+def mathtext(name: str) -> str:
+    """Return the name of a parameter as matplotlib sets it."""
+    return re.sub(r"[A-Za-z]\w*", lambda word: f"${'_'.join(_set(part) for part in _split(word[0]))}$", name)
+
+
+def _set(part: str) -> str:
+    return part if len(part) == 1 else rf"\mathrm{{{part}}}"
 
 
 def _step(step: Operation, taken: list[Typeset]) -> Typeset:
@@ -145,7 +163,9 @@ def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def pretty(text: str) -> str:
-    signs = (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²"), ("^3", "³"), (" +- ", " ± "), (" um", " µm"))
+    powers = (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²"), ("^3", "³"), ("**2", "²"))
+    signs = (*powers, (" +- ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"), (" um", " µm"))
+    text = re.sub(r"(?<=[\w)])\*(?=[\w(])", "\N{MIDDLE DOT}", re.sub(r"\bgamma\b", GREEK["gamma"], text))
     for plain, typeset in signs:
         text = text.replace(plain, typeset)
     return text

@@ -13,7 +13,7 @@ import pytest
 
 from daq.runfile import joint, listing, store
 from daq.runfile.recording import Recording
-from fitting import palette, rank
+from fitting import drawing, palette, rank
 from fitting.report import page, pictures
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
@@ -217,7 +217,7 @@ def test_reports_of_a_batch_are_numbered(files, tmp_path):
 
 
 def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
-    with pictures.look():
+    with drawing.look():
         shown = (pictures.cycle, pictures.record, pictures.residuals, pictures.break_aways)
         texts = [pictures.embed(*picture(law_five), "one") for picture in shown]
     for text in texts:
@@ -232,8 +232,7 @@ def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_f
     for number, side in enumerate(law_five.runs, start=1):
         speed = side.best.parameters["v_dr"]
         assert f"<p>run {number}: " in text
-        assert f"belt {speed.value:.4g} m/s" in text
-        assert f"{speed.value:.{speed.decimals}f} ± " in text
+        assert f"belt {speed.value:.{speed.decimals}f} ± {speed.stderr:.{speed.decimals}f} m/s" in text
 
 
 def test_a_run_named_twice_is_refused(files, tmp_path):

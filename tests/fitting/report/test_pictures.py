@@ -5,6 +5,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from fitting import drawing
 from fitting.palette import RUNS, run_colour, run_dash, run_mark
 from fitting.report import pictures
 
@@ -12,7 +13,7 @@ from fitting.report import pictures
 @pytest.mark.parametrize("picture", pictures.PICTURES, ids=lambda picture: picture.__name__)
 def test_a_legend_stays_inside_its_picture_in_a_broad_font(picture, ranked):
     """Where the browser had no font narrower than DejaVu Sans the labels of a legend overlapped."""
-    with pictures.look():
+    with drawing.look():
         drawn, _ = picture(ranked(law=5))
         renderer = FigureCanvasAgg(drawn).get_renderer()
         for legend in drawn.legends:
@@ -23,7 +24,7 @@ def test_a_legend_stays_inside_its_picture_in_a_broad_font(picture, ranked):
 
 def test_coordinates_are_shortened_and_words_are_not():
     """Ticks at 0.025 and 0.05 once read 0.03 and 0.05."""
-    with pictures.look():
+    with drawing.look():
         drawn = Figure(figsize=(3, 2))
         drawn.subplots().plot([0.0, 0.05], [0, 1 / 3])
         drawn.axes[0].set(xticks=[0, 0.025, 0.05], title="a < b")
@@ -35,11 +36,12 @@ def test_coordinates_are_shortened_and_words_are_not():
 
 
 def test_a_line_of_each_law_is_told_apart_without_its_colour(ranked):
-    with pictures.look():
-        drawn, _ = pictures.laws(ranked(law=5))
+    ranking = ranked(law=5)
+    with drawing.look():
+        drawn, _ = pictures.laws(ranking)
     lines = {line.get_label(): line for line in drawn.axes[0].lines}
-    assert {f"law {law}" for law in range(1, 7)} <= set(lines)
-    assert len({str(lines[f"law {law}"]._dash_pattern) for law in range(1, 7)}) == 6
+    names = [row.name for row in ranking.rows if isinstance(row.law, int)]
+    assert len({str(lines[name]._dash_pattern) for name in names}) == len(names) == 6
 
 
 def lightness(colour):
@@ -60,3 +62,17 @@ def test_runs_of_a_joint_fit_differ_in_greyscale():
             drawn_alike = run_dash(one) == run_dash(other)
             assert drawn_alike == (run_mark(one) == run_mark(other))
             assert apart > 20 or not drawn_alike, (one, other)
+
+
+def test_the_fit_is_never_above_the_belts_speed(ranked):
+    """The phase portraits had curls above the belt's speed, and velocities of one-sided differences at break-aways."""
+    row = ranked(law=5).best
+    _, _, velocity = pictures.fitted_motion(row, row.motion.sign)
+    assert np.nanmax(velocity) < 1.001 * row.fit.values.v_dr
+
+
+def test_a_typeset_label_is_plain_in_the_table_of_a_figure():
+    drawn = Figure()
+    drawn.subplots().plot([1.0, 2.0], [3.0, np.nan], label=r"$v_\mathrm{dr}$")
+    drawn.axes[0].set(xlabel="slip speed $s$ (m/s)", ylabel="a,b")
+    assert pictures.as_csv(drawn).splitlines()[1:] == [',v_dr,slip speed s (m/s),"a,b",1,3']
