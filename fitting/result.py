@@ -167,18 +167,20 @@ class LawResult(_Row):
         if self.formula is None:
             return f"law {self.law} ({self.name})"
         if self.law in MEMORY:
-            return f"{self.name} (law {self.law})"
+            return f"{self.name} ({self.label})"
         about = ABOUT.get(str(self.law))
-        return f"law {self.law} ({self.formula})" if about is None else f"{about.title} (law {self.law})"
+        return self.label if about is None else f"{about.title} ({self.label})"
 
     @property
     def shown(self) -> str:
-        """Those parameters of the curve that are determined alone, in words."""
-        return ", ".join(
-            f"{name} = {item.value:.3g} {item.unit}".rstrip()
+        """Those parameters of the curve that are determined alone, in newtons where known, in words."""
+        determined = [
+            name
             for name, item in self.parameters.items()
             if self.is_own(name) and (item.stderr < STATED_ERROR * abs(item.value) or not item.trusted)
-        )
+        ]
+        known = (name.removesuffix("/m") if name.removesuffix("/m") in self.parameters else name for name in determined)
+        return ", ".join(f"{name} = {self.parameters[name].brief}" for name in known)
 
     def is_own(self, name: str) -> bool:
         """Return whether a parameter is the curve's, and not the same one in other units."""

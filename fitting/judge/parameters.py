@@ -66,6 +66,13 @@ class Parameter:
         digits = self.decimals
         return f"{self.value:.{digits}f} [{self.lo:.{digits}f}, {self.hi:.{digits}f}] {self.unit}".rstrip()
 
+    @property
+    def brief(self) -> str:
+        """Value and standard error with two digits of the error."""
+        if self.fixed or not self.trusted:
+            return str(self).split(" (interval")[0]
+        return f"{self.value:.{self.decimals}f} +- {self.stderr:#.2g}".rstrip(".") + f" {self.unit}".rstrip()
+
     def as_json(self) -> dict[str, Any]:
         error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD
         return {"value": self.value, **error, "unit": self.unit} | ({"fixed": True} if self.fixed else {})

@@ -375,6 +375,16 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
     return empty
 
 
+def verdict(sentences: str, laws: int) -> "str | Text":
+    """Return the verdict as its line; on a terminal in the colour of how many laws it leaves: one, several, or none."""
+    line = f"verdict: {sentences}"
+    if not sys.stdout.isatty():
+        return line
+    from rich.text import Text
+
+    return Text(printable(line, sys.stdout.encoding), style=("bold red", "bold green", "bold yellow")[min(laws, 2)])
+
+
 class Progress:
     """What a long job calls with the amount done so far; without a bar it draws nothing."""
 
