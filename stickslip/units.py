@@ -84,11 +84,6 @@ def quantity(text: str, dimension: str, where: str) -> float:
     return value * _get_size(unit, text, dimension, where)
 
 
-def time_or_none(text: str | None, where: str) -> float | None:
-    """Return a typed time in seconds, None where none was typed."""
-    return None if text is None else quantity(text, "time", where)
-
-
 def measured(text: str, dimension: str, where: str) -> Measured:
     """Return a typed quantity with its error in SI: ``300 g +- 1 g``, ``0.300 +- 0.001 kg``, ``300 g``."""
     parts = _PLUS_MINUS.split(text.strip())

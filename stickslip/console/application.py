@@ -33,6 +33,7 @@ import cyclopts
 
 from stickslip.compute.interpreter import ignore_settings
 from stickslip.console import log
+from stickslip.console.flags import OUTPUT
 from stickslip.console.termination import end_by_signal, heed_signals
 from stickslip.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
 from stickslip.text import SPELLED, printable
@@ -53,7 +54,7 @@ logger = logging.getLogger(__name__)
 
 Json = Annotated[
     bool,
-    cyclopts.Parameter(name="--json", negative=(), help="Print one JSON document to stdout and nothing else."),
+    cyclopts.Parameter(name="--json", negative=(), group=OUTPUT, help="Print one JSON document and nothing else."),
 ]
 SetChanges = Annotated[
     list[str] | None,
@@ -107,7 +108,9 @@ def application(name: str, summary: str = "", example: str = "", usage: str | No
         suppress_keyboard_interrupt=False,
         default_parameter=cyclopts.Parameter(show_default=format_default),
     )
-    app.register_install_completion_command(help="Install completion of this command's words in your shell, and exit.")
+    app.register_install_completion_command()
+    for flag in ("--help", "--version", "--install-completion"):  # the epilogue names them
+        app[flag].show = False
     return app
 
 
