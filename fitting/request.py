@@ -48,6 +48,9 @@ def _read_alpha(part: PartFlags) -> float:
 
 def select_runs(files: list[Path], *, each: bool) -> list[Path]:
     """Return the files without joint fits, which a pattern such as *.h5 also matches."""
+    for path in files:
+        if path.is_dir():
+            raise InputError("is a folder", str(path), f"name its runs: fit-friction --each {path / '*.h5'}")
     if not each:
         return files
     fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.is_joint_fit(path)]
