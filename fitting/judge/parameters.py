@@ -72,7 +72,8 @@ class Parameter:
         """Value and standard error with two digits of the error."""
         if self.fixed or not self.trusted:
             return str(self).split(" (interval")[0]
-        return f"{self.value:.{self.decimals}f} +- {self.stderr:#.2g}".rstrip(".") + f" {self.unit}".rstrip()
+        digits = self.decimals
+        return f"{self.value:.{digits}f} +- {self.stderr:.{digits}f} {self.unit}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
         error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD

@@ -51,7 +51,7 @@ def _compatible(ranking: Ranking) -> str:
     if ranking.best.formula is not None:
         sentences = _of_formula(ranking)
     else:
-        sentences = _of_six(ranking) if ranking.sustained else [_constant_friction(ranking)]
+        sentences = _of_six(ranking) if ranking.sustained else [_constant_friction(ranking), _fit(ranking)]
         if formulas:
             named = " or ".join(f"{row.called} ({row.shown})" for row in formulas)
             sentences.append(f"{named} describes the record as well")
@@ -129,7 +129,7 @@ def _constant_friction(ranking: Ranking) -> str:
     six, best = [row for row in ranking.rows if isinstance(row.law, int)], ranking.best
     head = "no sustained stick: constant friction, "
     if len([row for row in six if row.in_set]) == 1:
-        return head + f"{best.called} by the start-up drag"
+        return head + f"{_with_parameters(best)}, by the start-up drag"
     if len(six) == 1:
         return head + f"{best.called}, the only law fitted"
     if _gives(ranking):
