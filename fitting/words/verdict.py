@@ -106,13 +106,13 @@ def _of_six(ranking: Ranking) -> list[str]:
         ]
     alone = ", the only law fitted" if len([row for row in ranking.rows if row.asked]) == 1 else ""
     rest = next((row for row in ranking.rows if isinstance(row.law, int) and not row.in_set), None)
-    return [f"{_with_parameters(best)}{alone}", _fit(ranking), *([] if rest is None else [_behind(best, rest)])]
+    return [_with_parameters(best, alone), _fit(ranking), *([] if rest is None else [_behind(best, rest)])]
 
 
-def _with_parameters(row: LawResult) -> str:
+def _with_parameters(row: LawResult, remark: str = "") -> str:
     law = row.fit.law
     curve = law.formula.replace("*", " ") if law.number else law.formula
-    return f"{row.called}, F = {curve}" + (f": {row.shown}" if row.shown else "")
+    return f"{row.called}{remark}, F = {curve}" + (f": {row.shown}" if row.shown else "")
 
 
 def _behind(best: LawResult, other: LawResult) -> str:
