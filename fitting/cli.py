@@ -98,7 +98,8 @@ def _fit_together(files: "Sequence[Path]", options: "Options", outputs: OutputFl
 
         def count(laws: float) -> None:
             show(laws)
-            show.status("then goodness of fit" if laws >= searched else "")
+            if laws >= searched:
+                show.stage("goodness of fit", laws, None)
 
         ranking = job.fit_runs(runs, options, count)
         text = page.render(ranking) if place is not None else ""

@@ -760,7 +760,7 @@ class Ranking:
         try:
             import xarray as xr
         except ImportError:
-            do = "install it: pip install xarray; or take residuals, curve and to_dataframe()"
+            do = "install it: pip install 'stickslip[xarray]'; or take residuals, curve and to_dataframe()"
             raise InputError("xarray is not installed", "to_xarray", do) from None
         samples, law_rows = self.residuals, [in_columns(row.parameters) for row in self.rows]
         units = dict(self.to_dataframe().attrs["units"])

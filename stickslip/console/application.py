@@ -451,8 +451,8 @@ class Progress:
     def __call__(self, done: float) -> None:
         self._update(completed=done)
 
-    def stage(self, description: str, done: float, total: float) -> None:
-        """Show how much is done of a stage of the job; rate and ETA restart with every stage."""
+    def stage(self, description: str, done: float, total: float | None) -> None:
+        """Show how much is done of a stage of the job, None for unknown; rate and ETA restart with every stage."""
         if description != self._stage:
             self._restart(description=description, total=total)
             self._stage = description
