@@ -80,11 +80,11 @@ def _cycles(ranking: Ranking) -> str:
     return f"{ranking.best.cycles} cycles{runs}"
 
 
-def _fit(ranking: Ranking) -> str:
+def _fit(ranking: Ranking, subject: str = "it") -> str:
     best = ranking.best
     clear = best.misfit > noise_levels.CLEARLY_ABOVE
     noise = f"{best.misfit:.3g} times the noise" if clear else "the noise level"
-    return f"it fits {_cycles(ranking)} to {format_length(best.rms_m)} rms, {noise}"
+    return f"{subject} fits {_cycles(ranking)} to {format_length(best.rms_m)} rms, {noise}"
 
 
 def _of_six(ranking: Ranking) -> list[str]:
@@ -97,7 +97,7 @@ def _of_six(ranking: Ranking) -> list[str]:
             split = split.removesuffix(OTHER_SPEEDS)
         if _gives(ranking):
             head = f"{best.called} on a belt that slows under load, or {others}: the record cannot distinguish them"
-            return [head, _fit(ranking), f"{split} would distinguish them"]
+            return [head, _fit(ranking, best.label), f"{split} would distinguish them"]
         lag, best_lag = (0.0 if row.behind is None else row.behind[0] for row in (members[1], best))
         return [
             f"{best.called} or {others}: {_cycles(ranking)} cannot distinguish them (their errors differ by "
@@ -157,7 +157,7 @@ def _of_formula(ranking: Ranking) -> list[str]:
         return sentences
     whole = ", the best of the six," if len(six) == len(ALL_LAWS) else ""
     lead = 0.5 * ((six[0].score or 0.0) - (best.score or 0.0))
-    return [*sentences, f"{six[0].called}{whole} is worse by {lead:.3g} in log evidence"]
+    return [*sentences, f"{six[0].called}{whole} is worse by {float(f'{lead:.3g}'):g} in log evidence"]
 
 
 def _no_law(ranking: Ranking, cause: str) -> str:

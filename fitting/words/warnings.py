@@ -15,7 +15,7 @@ POOR_ERROR = 0.003  # error over the motion's range: five times what 12 % scatte
 def warnings(run: Ranking, others: Sequence[str], together: Adequacy) -> tuple[str, ...]:
     """Return one run's warnings, the weightiest first; ``others`` are of its laws, ``together`` of all runs."""
     findings = [finding.text for finding in run.findings]
-    doubts = (*_of_fit(run), *others, *_of_ramp(run), *_of_calibration(run), *level_of_curve(together))
+    doubts = (*_of_fit(run), *others, *_of_calibration(run), *_of_ramp(run), *level_of_curve(together))
     return (*findings, *doubts, *_of_cycles(run), *not_judged(run.adequacy), *_of_belt(run))
 
 
