@@ -16,6 +16,7 @@ from fitting.options import Options
 from fitting.report import page
 from fitting.report.comparison import ComparedRun
 from fitting.result import Ranking
+from fitting.words.warnings import merge_warnings
 from stickslip import errors
 from stickslip.compute.workers import workers
 from stickslip.console import application
@@ -91,11 +92,11 @@ def text(rows: Sequence[ComparedRun], compared: Path | None) -> list[Any]:
         failed = row.failure
         named = () if failed else (*row.document["set"], *row.document.get("rivals", ()))
         members = "-" if failed else ", ".join(map(str, named)) or "none"
-        verdict = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
+        verdict = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"].split(". ")[0]
         table.add_row(str(row.file.absolute().relative_to(common)), members, verdict)
     lines: list[Any] = [table]
-    for row in rows:
-        lines += [f"warning: {row.file.name}: {warning}" for warning in row.document.get("warnings", ())]
+    warned = [row.document.get("warnings", ()) for row in rows]
+    lines += [f"warning: {text}" for text in merge_warnings(warned, [row.file.name for row in rows])]
     lines.append(f"{len(rows)} runs: {summary(rows)}" + (f"; comparison: {compared}" if compared else ""))
     return lines
 

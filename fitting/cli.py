@@ -34,9 +34,9 @@ app = application.application("fit-friction", usage="Usage: fit-friction [OPTION
 
 @app.default
 def fit(
-    file: Annotated[Path, Parameter(help="Run file written by daq record, import or replay.")],
+    file: Annotated[Path, Parameter(metavar="RUN.h5", help="Run file, of daq record or import.")],
     /,
-    *more: Annotated[Path, Parameter(help="More runs of the same contact, fitted jointly with the first.")],
+    *more: Annotated[Path, Parameter(metavar="RUN.h5", help="More runs of the same contact.")],
     laws: LawFlags = DEFAULT_LAWS,
     rig: CalibrationFlags = DEFAULT_RIG,
     part: PartFlags = DEFAULT_PART,
@@ -46,35 +46,17 @@ def fit(
 ) -> Answer:
     """Fit the friction laws to a run, rank them, and write a report beside it.
 
-    Ends with exit code 0 when one law is left, 5 when the record cannot distinguish several (they are
-    named), 6 when it is stick-slip that none of the laws describes, or that a published curve besides them describes
-    better, and 4 when it holds too little or no belt stick-slip. Results are added to the run file; raw data stay as
-    they are.
+    Example: fit-friction run.h5
 
-    Several runs are fitted together, as one contact: the law's parameters, spring and damping are one for all, belt
-    speed, rest position and wear are each run's own. Runs at other belt speeds distinguish laws that one run cannot.
-    Their fit is written into a file of its own beside the first run, named after it and the number of further runs:
-    run1+2.fit.h5 for three runs, with the report run1+2.report.html. The run files stay as they are.
-
-    With --each every run is fitted by itself: a failed one stops no other, its error stands in its row. A page compares
-    verdicts and parameters: run1+2.each.html for three runs. Exit code 0
-    when all are decided, 5 when one is undecided, 6 when no law describes one, else that of the worst error.
-
-    With --from or --to a part of each run is smoothed by itself and fitted; times are those of the run.  Results and
-    reports of the same run are replaced by new ones, and run.report.html of a run.h5 that was itself replaced; those of
-    another run only with --force.
-
-    Example: fit-friction run.h5 --report run.html
-
-    Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
-
-    Example: fit-friction run.h5 --x0 "60 mm +- 0.1 mm"
+    Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g" --x0 "60 mm +- 0.1 mm"
 
     Example: fit-friction run.h5 --from 5 --to "1.5 min" --no-report
 
-    Example: fit-friction run.h5 --save-scene rig.toml; rig-sim continue rig.toml --over damper.c=0:0.5 --draws 200
-
     Example: fit-friction --each monday/*.h5 --jobs 4
+
+    Several runs are fitted jointly, as one contact, and the result goes to RUN+N.fit.h5; with --each, runs are fitted
+    separately, and a page compares them. Exit codes: 0 one law, 5 several laws, 6 no law describes the record, 4 too
+    few data.
     """
     from fitting import request
 
@@ -116,7 +98,8 @@ def _fit_together(files: "Sequence[Path]", options: "Options", outputs: OutputFl
 
         def count(laws: float) -> None:
             show(laws)
-            show.status("then goodness of fit" if laws >= searched else "")
+            if laws >= searched:
+                show.stage("goodness of fit", laws, None)
 
         ranking = job.fit_runs(runs, options, count)
         text = page.render(ranking) if place is not None else ""

@@ -10,36 +10,37 @@ from stickslip.console import flags
 from stickslip.console.rig_flags import Mass, RestPosition, Stiffness
 from stickslip.units import Measured
 
+Words = list[str] | None
+OLD = Parameter(show=False)  # spellings of earlier releases
 
-def _repeated(text: str) -> Parameter:
-    return Parameter(negative=(), consume_multiple=False, help=f"{text.removesuffix('.')}; repeatable.")
+
+def _repeated(text: str, metavar: str) -> Parameter:
+    return Parameter(negative=(), consume_multiple=False, metavar=metavar, help=f"{text}; repeatable.")
 
 
-@Parameter(name="*")
+def _file(text: str, *names: str) -> Parameter:
+    return Parameter(name=names or None, metavar="FILE", help=text)
+
+
+@Parameter(name="*", group=flags.LAWS)
 @dataclass(frozen=True)
 class LawFlags:
     """The laws that compete, and the conditions on their parameters."""
 
-    laws: Annotated[
-        str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6; published ones by name: 1-6,stribeck.")
-    ] = "1-6"
+    laws: Annotated[str, Parameter(metavar="LIST", help="Laws to fit: 1-6, 3,5,6, or with names: 1-6,stribeck.")] = (
+        "1-6"
+    )
     law: Annotated[
-        list[str] | None,
-        _repeated(
-            "One more law: a published one (stribeck, stribeck-gaussian, either with -viscous, logarithmic, power; "
-            "with memory: lugre, dahl, ageing, slip), or 'NAME: FORMULA', friction per unit mass at slip speed s."
-        ),
+        Words,
+        _repeated("One more law: stribeck, power, lugre ..., or 'NAME: FORMULA' in slip speed s", "LAW"),
     ] = None
-    ramp: Annotated[list[str] | None, _repeated("Put the law of this name behind a ramp.")] = None
-    fix: Annotated[
-        list[str] | None,
-        _repeated("A parameter that is known, NAME=VALUE as the results name it: gamma=9.6, 'mine.v_s=50 mm/s'."),
-    ] = None
-    bound: Annotated[list[str] | None, _repeated("Bounds of a parameter: NAME=LO:HI, LO: or :HI.")] = None
-    start: Annotated[list[str] | None, _repeated("First value of a parameter, NAME=VALUE.")] = None
+    ramp: Annotated[Words, _repeated("Put the law of this name behind a ramp", "NAME")] = None
+    fix: Annotated[Words, _repeated("A known parameter: gamma=9.6, 'mine.v_s=50 mm/s'", "NAME=VALUE")] = None
+    bound: Annotated[Words, _repeated("Bounds of a parameter; LO: or :HI for one", "NAME=LO:HI")] = None
+    start: Annotated[Words, _repeated("First value of a parameter", "NAME=VALUE")] = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=flags.RIG)
 @dataclass(frozen=True)
 class CalibrationFlags:
     """Calibrations that override the run's own."""
@@ -47,80 +48,61 @@ class CalibrationFlags:
     mass: Mass = None
     stiffness: Stiffness = None
     x0: RestPosition = None
-    datum: Annotated[
-        Measured | None,
-        flags.measured("--datum", "length", "-x0, from the readings of which the run was made; use --x0.", "datum"),
-    ] = None
-    datum_sd: Annotated[
-        float | None, flags.quantity("--datum-sd", "length", "Standard deviation of --datum; use --x0 with +-.")
-    ] = None
+    datum: Annotated[Measured | None, flags.measured("--datum", "length", "-x0.", "datum"), OLD] = None
+    datum_sd: Annotated[float | None, flags.quantity("--datum-sd", "length", "Error of --datum."), OLD] = None
     damping: Annotated[
         Measured | None,
-        flags.measured("--damping", "damping", "Viscous damping from a ring-down, N s/m: '0.02 +- 0.001'.", "damping"),
+        flags.measured("--damping", "damping", "Viscous damping, N s/m: '0.02 +- 0.001'.", "damping"),
     ] = None
-    damping_sd: Annotated[
-        float | None, flags.quantity("--damping-sd", "damping", "Standard deviation of --damping, N s/m.")
-    ] = None
+    damping_sd: Annotated[float | None, flags.quantity("--damping-sd", "damping", "Error of --damping."), OLD] = None
     belt_speed: Annotated[
         Measured | str | None,
         flags.measured(
             "--belt-speed",
             "speed",
-            "Belt speed, signed: '22 cm/s +- 1 mm/s'; channel: from belt counts, the default if the run contains them.",
+            "Belt speed, signed: '22 cm/s +- 1 mm/s'; or channel: from belt counts.",
             word="channel",
         ),
     ] = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=flags.PART)
 @dataclass(frozen=True)
 class PartFlags:
     """The fitted part of each run, and the confidence."""
 
-    exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = ""
     begin: Annotated[
-        float | None, flags.quantity("--from", "time", "Fit from this time of the run, s or with a unit.")
+        float | None, flags.quantity("--from", "time", "Fit from this time of the run: '5', '1.5 min'.")
     ] = None
-    end: Annotated[float | None, flags.quantity("--to", "time", "Fit up to this time of the run, likewise.")] = None
-    alpha: Annotated[float, Parameter(help="1 - confidence level of the intervals and the set.")] = 0.05
+    end: Annotated[float | None, flags.quantity("--to", "time", "Fit up to this time of the run.")] = None
+    exclude_cycles: Annotated[str, Parameter(metavar="LIST", help="Cycles to leave out, from 1: 3,7-9.")] = ""
+    confidence: Annotated[float, Parameter(metavar="C", help="Confidence of the intervals and the set of laws.")] = 0.95
+    alpha: Annotated[float | None, Parameter(help="1 - confidence."), OLD] = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=flags.OUTPUT)
 @dataclass(frozen=True)
 class OutputFlags:
     """Files written besides the run."""
 
-    report: Annotated[
-        Path | None,
-        Parameter(
-            help="Report to write; default RUN.report.html, of a joint fit RUN+N.report.html; with --each numbered."
-        ),
-    ] = None
-    no_report: Annotated[bool, Parameter(negative=(), help="Write no report.")] = False
-    csv: Annotated[Path | None, Parameter(help="Also write the ranking as a table with one row per run and law.")] = (
+    report: Annotated[Path | None, _file("Report to write; default RUN.report.html.", "--output", "-o", "--report")] = (
         None
     )
-    curve_csv: Annotated[
-        Path | None,
-        Parameter(help="Also write the measured friction curve with its band: relative speed, friction, lo, hi."),
-    ] = None
-    save_scene: Annotated[
-        Path | None,
-        Parameter(help="Also write the fitted rig as a scene (.toml) for rig-sim: the law, or the measured curve."),
-    ] = None
-    force: Annotated[
-        bool, Parameter(negative=(), help="Replace a report, table or joint fit that is not of these runs.")
-    ] = False
+    no_report: Annotated[bool, Parameter(negative=(), help="Write no report.")] = False
+    csv: Annotated[Path | None, _file("Also write the ranking as a table.")] = None
+    curve_csv: Annotated[Path | None, _file("Also write the measured friction curve with its band.")] = None
+    save_scene: Annotated[Path | None, _file("Also write the fitted rig as a scene (.toml) for rig-sim.")] = None
+    force: Annotated[bool, Parameter(negative=(), help="Replace files that are not of these runs.")] = False
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=flags.RUNS)
 @dataclass(frozen=True)
 class WorkFlags:
     """Separate fits, and the processors."""
 
-    each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False
-    jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1
-    scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None
+    each: Annotated[bool, Parameter(negative=(), help="Fit every run separately.")] = False
+    jobs: Annotated[int, Parameter(metavar="N", help="Processes; a joint fit uses at most three.")] = 1
+    scheduler: Annotated[str | None, Parameter(metavar="URL", help="Workers of dask: tcp://host:8786.")] = None
 
 
 DEFAULT_LAWS, DEFAULT_RIG, DEFAULT_PART = LawFlags(), CalibrationFlags(), PartFlags()

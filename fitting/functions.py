@@ -13,7 +13,6 @@ from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting import batch, job
 from fitting.job import LoadedRun
-from fitting.judge.parameters import in_columns
 from fitting.laws import ALL_LAWS, Bound, Competitors, Law
 from fitting.options import Options
 from fitting.result import Ranking
@@ -63,21 +62,17 @@ class RankedRuns(list[RankedRun]):
         """
         import pandas as pd
 
-        names = ("file", "verdict", "adequacy", "law", "name", "rms_m", "error")
-        table: list[dict[str, Any]] = []
+        parts = [pd.DataFrame([{"file": str(run.file)}]) for run in self]
         units: dict[str, str] = {}
-        for run in self:
-            row: dict[str, Any] = dict.fromkeys(names) | {"file": str(run.file)}
-            if run.error is not None:
-                row["error"] = str(run.error)
+        for number, run in enumerate(self):
             if run.ranking is not None:
-                row |= {"verdict": run.ranking.verdict, "adequacy": run.ranking.adequacy.verdict}
-                if run.ranking.rows:
-                    best = run.ranking.best
-                    row |= {"law": best.law, "name": best.name, "rms_m": best.rms_m} | in_columns(best.parameters)
-                    units |= {name: item.unit for name, item in best.parameters.items()}
-            table.append(row)
-        frame = pd.DataFrame(table)
+                answer = run.ranking.summary()
+                units |= answer.attrs["units"]
+                parts[number] = parts[number].join(answer)
+            parts[number]["error"] = None if run.error is None else str(run.error)
+        names = ["file", "verdict", "adequacy", "law", "name", "rms_m", "error"]
+        frame = pd.concat(parts, ignore_index=True)
+        frame = frame.reindex(columns=[*names, *(name for name in frame if name not in names)])
         frame.attrs["units"] = units
         return frame
 

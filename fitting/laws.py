@@ -383,6 +383,9 @@ def read_law(spec: str, where: str = "--law") -> Law:
             return NAMED[name]
         if re.fullmatch(r"[\d\s,-]+", name):
             raise InputError(f"{name!r} is a number of a law, not a name", where, f"did you mean --laws {name}?")
+        for number, kind in LAWS.items():
+            if name == kind.name:
+                raise InputError(f"{name!r} is law {number} of the six", where, f"did you mean --laws {number}?")
         do = f'{nearest(name, list(NAMED))}; a law of your own is "NAME: FORMULA", such as "mine: Fs/(1 + s/v)"'
         raise InputError(f"{name!r} is no published law", where, do)
     if name in NAMED and formula != NAMED[name].formula:

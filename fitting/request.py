@@ -32,14 +32,25 @@ def read_options(laws: LawFlags, rig: CalibrationFlags, part: PartFlags, work: W
         excluded=tuple(numbers(part.exclude_cycles, "--exclude-cycles")),
         begin=part.begin,
         end=part.end,
-        alpha=part.alpha,
+        alpha=_read_alpha(part),
         jobs=work.jobs,
         scheduler=work.scheduler,
     )
 
 
+def _read_alpha(part: PartFlags) -> float:
+    if part.alpha is not None:
+        return part.alpha
+    if not 0 < part.confidence < 1:
+        raise InputError(f"confidence is {part.confidence:g}", "--confidence", "give a number below 1, such as 0.95")
+    return round(1 - part.confidence, 12)
+
+
 def select_runs(files: list[Path], *, each: bool) -> list[Path]:
     """Return the files without joint fits, which a pattern such as *.h5 also matches."""
+    for path in files:
+        if path.is_dir():
+            raise InputError("is a folder", str(path), f"name its runs: fit-friction --each {path / '*.h5'}")
     if not each:
         return files
     fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.is_joint_fit(path)]

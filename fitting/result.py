@@ -1,5 +1,7 @@
 """The ranking, as `fitting.rank` returns it: a row for each law, the verdict with its warnings, tables and files."""
 
+import math
+import pickle
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
@@ -20,6 +22,7 @@ from fitting.judge.parameters import (
     Correlations,
     Parameter,
     correlations,
+    friction_band,
     in_columns,
 )
 from fitting.laws import ABOUT, MEMORY, PUBLISHED
@@ -30,8 +33,9 @@ from processing.record.kinematics import Kinematics
 from processing.record.motion import Finding
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 from stickslip.compute.arrays import Array
-from stickslip.errors import DataError, InputError, in_python
+from stickslip.errors import DataError, InputError, in_python, nearest
 from stickslip.output import atomic, notebook, suffix
+from stickslip.version import VERSION
 
 if TYPE_CHECKING:
     import os
@@ -43,7 +47,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
-PAGE, SCENE = "fitting.report.page", "fitting.scene"  # imported by name: they import this module
+# Imported by name: they import this module.
+PAGE, SCENE, REPORTS = "fitting.report.page", "fitting.scene", "fitting.words.reports"
+SAVED = f"stickslip ranking {VERSION}\n".encode()
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
@@ -133,6 +139,8 @@ class LawResult(_Row):
         Of a law given as a formula.
     asked : bool
         Whether the law was requested; every published law competes too.
+    alpha : float
+        1 - confidence of the intervals.
     """
 
     law: int | str
@@ -152,6 +160,7 @@ class LawResult(_Row):
     outside_band: BandExit | None = None
     formula: str | None = None
     asked: bool = True
+    alpha: float = 0.05
 
     fitted = True
     reason = None
@@ -167,18 +176,20 @@ class LawResult(_Row):
         if self.formula is None:
             return f"law {self.law} ({self.name})"
         if self.law in MEMORY:
-            return f"{self.name} (law {self.law})"
+            return f"{self.name} ({self.label})"
         about = ABOUT.get(str(self.law))
-        return f"law {self.law} ({self.formula})" if about is None else f"{about.title} (law {self.law})"
+        return self.label if about is None else f"{about.title} ({self.label})"
 
     @property
     def shown(self) -> str:
-        """Those parameters of the curve that are determined alone, in words."""
-        return ", ".join(
-            f"{name} = {item.value:.3g} {item.unit}".rstrip()
+        """Those parameters of the curve that are determined alone, in newtons where known, in words."""
+        determined = [
+            name
             for name, item in self.parameters.items()
             if self.is_own(name) and (item.stderr < STATED_ERROR * abs(item.value) or not item.trusted)
-        )
+        ]
+        known = (name.removesuffix("/m") if name.removesuffix("/m") in self.parameters else name for name in determined)
+        return ", ".join(f"{name} = {self.parameters[name].brief}" for name in known)
 
     def is_own(self, name: str) -> bool:
         """Return whether a parameter is the curve's, and not the same one in other units."""
@@ -211,23 +222,51 @@ class LawResult(_Row):
         """Return the fitted velocity, m/s, positive towards +x; arguments as of `position`."""
         return self.motion.sign * self._motion_at(t)[1]
 
-    def friction(self, s: "ArrayLike") -> Array:
+    def friction(self, s: "ArrayLike", *, band: bool = False) -> "Array | tuple[Array, Array, Array]":
         """Return friction at slip speeds, positive where it opposes the slip.
 
         Parameters
         ----------
         s : array_like
             Slip speeds, m/s; at 0 friction as slip begins, of a ramp 0.  Friction is odd in them.
+        band : bool
+            Also return the ends of the interval of confidence 1 - `alpha` at each speed: that of the fitted law.
 
         Returns
         -------
-        array of the same shape
+        array of the same shape, or three of them
             N where the mass or the spring's stiffness is known, else N/kg; at the mean friction level of the record.
+            With ``band``: friction, its lower and its upper end.
         """
         speed = numbers(s, "s")
         if not self.fit.problem.ramp:
             speed = np.where(speed == 0, np.finfo(float).tiny, speed)
-        return -friction.friction_at(self.fit, self.motion, speed)
+        value = -friction.friction_at(self.fit, self.motion, speed)
+        if not band:
+            return value
+        half = friction_band(self.fit, self.motion, speed.ravel(), self.alpha).reshape(speed.shape)
+        return value, value - half, value + half
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, n ln(sum of squared residuals / n) + 2 k, as in lmfit; k counts all unknowns.
+
+        It takes residuals as independent, which those of a record are not: `weight` compares laws cycle by cycle.
+        """
+        return self._deviance + 2 * self._unknowns
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion, n ln(sum of squared residuals / n) + k ln(n); as `aic`."""
+        return self._deviance + math.log(self.fit.residual.size) * self._unknowns
+
+    @property
+    def _deviance(self) -> float:
+        return self.fit.residual.size * math.log(float(np.mean(np.square(self.fit.residual))))
+
+    @property
+    def _unknowns(self) -> int:
+        return self.fit.q.size + self.fit.local.size
 
     @property
     def residuals(self) -> "pd.DataFrame":
@@ -420,6 +459,90 @@ class Ranking:
     def sides(self) -> "tuple[Ranking, ...]":
         """The ranking of each run; of a single run this one."""
         return self.runs or (self,)
+
+    @property
+    def aic(self) -> float:
+        """`LawResult.aic` of the best law."""
+        return self._best("aic").aic
+
+    @property
+    def bic(self) -> float:
+        """`LawResult.bic` of the best law."""
+        return self._best("bic").bic
+
+    def __getitem__(self, name: str) -> Parameter:
+        """Return a parameter of the best law; KeyError for others."""
+        parameters = self._best("parameters").parameters
+        if name not in parameters:
+            raise KeyError(f"no parameter {name!r}; {nearest(str(name), list(parameters))}")
+        return parameters[name]
+
+    def summary(self) -> "pd.DataFrame":
+        """Return the answer as a pandas table of one row, so that the rows of many runs can be joined.
+
+        Columns: ``verdict``, ``adequacy``, ``law`` and ``name`` of the best law, ``rms_m``, and those of its parameters
+        as in `to_dataframe`.  ``attrs["units"]`` has the parameters' units.
+        """
+        import pandas as pd
+
+        row: dict[str, Any] = {"verdict": self.verdict, "adequacy": self.adequacy.verdict}
+        units = {}
+        if self.rows:
+            best = self.best
+            row |= {"law": best.law, "name": best.name, "rms_m": best.rms_m} | in_columns(best.parameters)
+            units = {name: item.unit for name, item in best.parameters.items()}
+        frame = pd.DataFrame([row])
+        frame.attrs["units"] = units
+        return frame
+
+    def fit_report(self) -> str:
+        """Return the fit of the best law as text in the form of lmfit: statistics, parameters, correlations."""
+        return str(import_module(REPORTS).fit_report(self))
+
+    def ci_report(self) -> str:
+        """Return the confidence intervals of the best law's parameters as text: lower end, value, upper end."""
+        return str(import_module(REPORTS).ci_report(self))
+
+    def save(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
+        """Write the ranking, with records and fits, into a file for `load`.
+
+        Parameters
+        ----------
+        path : path
+            The file, about a kilobyte for each sample.
+        force : bool
+            Replace an existing file.
+
+        Raises
+        ------
+        InputError
+            The file exists and ``force`` is not given, or its folder does not exist.
+        """
+        target = Path(path)
+        atomic.refuse_existing(target, force)
+        with atomic.replacing(target, force) as temporary:
+            temporary.write_bytes(SAVED + pickle.dumps(self))
+        return target
+
+    @staticmethod
+    def load(path: "str | os.PathLike[str]") -> "Ranking":
+        """Return a ranking that `save` wrote.
+
+        It is a pickle, which may run any code: load only files that you trust.  Another release may not read it; the
+        run file and ``to_dataframe()`` last longer.
+
+        Raises
+        ------
+        InputError
+            The file was written by another program or release.
+        """
+        if not Path(path).is_file():
+            raise InputError("no such file", str(path), "check the path")
+        content = Path(path).read_bytes()
+        if not content.startswith(SAVED):
+            do = "rank the run again, or load it with the release that saved it"
+            raise InputError(f"is not a ranking saved by stickslip {VERSION}", str(path), do)
+        return pickle.loads(content[len(SAVED) :])  # type: ignore[no-any-return]
 
     def row(self, law: int | str) -> LawResult:
         """Return the row of a fitted law, by its number or name; KeyError for others."""
@@ -637,7 +760,7 @@ class Ranking:
         try:
             import xarray as xr
         except ImportError:
-            do = "install it: pip install xarray; or take residuals, curve and to_dataframe()"
+            do = "install it: pip install 'stickslip[xarray]'; or take residuals, curve and to_dataframe()"
             raise InputError("xarray is not installed", "to_xarray", do) from None
         samples, law_rows = self.residuals, [in_columns(row.parameters) for row in self.rows]
         units = dict(self.to_dataframe().attrs["units"])

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from cyclopts import Parameter
 
-from stickslip.console import application
+from stickslip.console import application, flags
 from stickslip.console.application import Answer, Json
+from stickslip.console.flags import Force
 from stickslip.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,13 +18,9 @@ if TYPE_CHECKING:
 
 Run = Annotated[Path, Parameter(help="Run file written by daq record, import or replay.")]
 From = Annotated[
-    str | None,
-    Parameter(name="--from", help="Begin at this time of the run, s or with a unit.", allow_leading_hyphen=True),
+    float | None, flags.quantity("--from", "time", "Begin at this time of the run: '5', '1.5 min'."), flags.OF_PART
 ]
-To = Annotated[
-    str | None, Parameter(name="--to", help="End at this time of the run, likewise.", allow_leading_hyphen=True)
-]
-Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
+To = Annotated[float | None, flags.quantity("--to", "time", "End at this time of the run."), flags.OF_PART]
 
 app = application.application(
     "process", "Position, velocity and acceleration from a recorded run.", "process smooth run.h5"
@@ -62,18 +59,20 @@ def smooth(
 
     With --from or --to only a part of the run is smoothed, and later commands use only that part.
 
+    Example: process smooth run.h5
+
     Example: process smooth run.h5 --window 20ms
 
     Example: process smooth run.h5 --from 5 --to 1.5min
     """
     from daq.runfile import store
     from processing import smoothing, stage, summary
-    from stickslip.units import quantity, time_or_none
+    from stickslip.units import quantity
 
     speed = belt_speed if belt_speed == "auto" else quantity(belt_speed, "speed", "--belt-speed")
     options = (method, window, order, times, speed, repair_counts)
     motion: SmoothingSummary
-    samples = store.select_between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
+    samples = store.select_between(file, begin, end)
     with store.open_reader(file, samples) as run:
         n = run.samples
     if n > smoothing.LARGE:
@@ -117,7 +116,13 @@ def inspect(
     /,
     *,
     plot: Annotated[
-        Path | None, Parameter(help="Figure to write: .png, .svg or .pdf; default RUN.inspect.png.")
+        Path | None,
+        Parameter(
+            name=["--output", "-o", "--plot"],
+            metavar="FILE",
+            help="Figure to write: .png, .svg or .pdf; default RUN.inspect.png.",
+            group=flags.OUTPUT,
+        ),
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -127,7 +132,9 @@ def inspect(
     A run that has not been smoothed is smoothed in memory.  An older picture of the same run is replaced, any other
     file only with --force.
 
-    Example: process inspect run.h5 --plot portrait.png
+    Example: process inspect run.h5
+
+    Example: process inspect run.h5 -o portrait.png
     """
     from processing import statistics, summary
     from processing.plot import draw_inspection
@@ -155,7 +162,10 @@ def export(
     file: Run,
     /,
     *,
-    csv: Annotated[Path | None, Parameter(help="CSV file to write.")] = None,
+    csv: Annotated[
+        Path | None,
+        Parameter(name=["--output", "-o", "--csv"], metavar="FILE", help="Table to write, .csv.", group=flags.OUTPUT),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
@@ -163,15 +173,15 @@ def export(
 
     A run that has not been smoothed is smoothed in memory.
 
-    Example: process export run.h5 --csv motion.csv
+    Example: process export run.h5 -o motion.csv
     """
     from processing import export as tables
     from stickslip.output import atomic, suffix
 
     if csv is None:
-        raise InputError("nothing to write", "command line", "give --csv FILE")
+        raise InputError("nothing to write", "command line", "give -o FILE.csv")
     atomic.refuse_existing(csv, force, file)
-    suffix.check(csv, suffix.CSV, "--csv")
+    suffix.check(csv, suffix.CSV)
     recording, stored = _load_motion(file)
     motion = _smooth_in_memory(recording) if stored is None else stored
     columns = tables.write_csv(motion, csv, force=force)

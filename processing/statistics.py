@@ -94,7 +94,9 @@ class StickSlipStatistics:
             if summary is None:
                 continue
             size, unit_text = (1.0, quantity_unit) if quantity_unit == "s" else shown_length(unit)
-            mean, sd, low, high = (f"{size * (summary[key] or 0.0):.4g}" for key in ("mean", "sd", "min", "max"))
+            values = [size * (summary[key] or 0.0) for key in ("mean", "sd", "min", "max")]
+            digits = 1 - math.floor(math.log10(values[1])) if values[1] > 0 else 6  # two of the standard deviation
+            mean, sd, low, high = (f"{round(value, digits):.{min(max(digits, 0), 12)}f}" for value in values)
             trend = summary["trend_per_s"]
             drift = "" if trend is None else f"{size * trend:+.2g} {unit_text}/s"
             rows.append((TITLES[name], mean, sd, low, high, drift, unit_text))

@@ -1,5 +1,6 @@
 """The summary of a smoothed run, as JSON and as sentences."""
 
+import logging
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -11,12 +12,14 @@ from numpy.typing import NDArray
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from stickslip.output.lengths import shown_range, shown_speed
 
+logger = logging.getLogger(__name__)
 METHOD_NAMES = {
-    "segment": "sticks and slips smoothed apart, switching times fitted",
+    "segment": "sticks and slips smoothed separately; transition times fitted",
     "rts": "fixed-interval smoother, noise levels by maximum likelihood",
     "sg": "Savitzky-Golay",
     "fd": "finite differences",
 }
+TIMES = {"recorded": "recorded time stamps used", "nominal": "even time stamps used"}
 HEADER = (
     "method",
     "window",
@@ -102,19 +105,22 @@ def format_sentences(motion: SmoothingSummary, *, chosen: bool = False) -> list[
     belt = f"belt {motion.belt_speed:.5g} {shown_speed(motion.unit)}" if known else "belt speed unknown"
     belt += " (from its own encoder)" if motion.belt_counted else ""
     lines = [
-        f"{method_text}; {motion.times} times",
+        f"{method_text}; {TIMES[motion.times]}",
         f"{_count(len(motion.sticks), 'stick')} and {_count(len(motion.slips), 'slip')}; {belt}; "
         f"stuck for {100 * motion.plateau_fraction:.0f} % of the record",
     ]
     if motion.method == "segment" and motion.sticks:
         landing = _median_error([stick.start_sd for stick in motion.sticks])
         leaving = _median_error([stick.end_sd for stick in motion.sticks])
-        lines.append(f"standard errors of switching times: {landing} (landings), {leaving} (break-aways)")
+        lines.append(f"standard errors of transition times: {landing} (landings), {leaving} (break-aways)")
     lines.append(f"{motion.samples} samples in {motion.cpu_s:.2f} s of CPU time")
     return lines + [f"warning: {warning}" for warning in list_warnings(motion)]
 
 
 def format_run_sentences(motion: Kinematics, file: Path) -> list[str]:
+    """Return the run, its motion and its findings; the parameters of the method go to the log (--verbose)."""
+    for name, numbers in _list_groups(motion.model):
+        logger.info("model%s: %s", name, numbers)
     data = run_as_json(motion)
     unit = data["unit"]
     events = ", ".join(f"{count} × {kind}" for kind, count in data["events"].items()) or "none"
@@ -126,7 +132,6 @@ def format_run_sentences(motion: Kinematics, file: Path) -> list[str]:
         f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
         f"position {shown_range(low, high, unit)}, velocity {slow:.4g} to {fast:.4g} {shown_speed(unit)}",
         *format_sentences(motion),
-        *(f"model{name}: {numbers}" for name, numbers in _list_groups(motion.model)),
     ]
 
 

@@ -84,11 +84,6 @@ def quantity(text: str, dimension: str, where: str) -> float:
     return value * _get_size(unit, text, dimension, where)
 
 
-def time_or_none(text: str | None, where: str) -> float | None:
-    """Return a typed time in seconds, None where none was typed."""
-    return None if text is None else quantity(text, "time", where)
-
-
 def measured(text: str, dimension: str, where: str) -> Measured:
     """Return a typed quantity with its error in SI: ``300 g +- 1 g``, ``0.300 +- 0.001 kg``, ``300 g``."""
     parts = _PLUS_MINUS.split(text.strip())
@@ -97,6 +92,8 @@ def measured(text: str, dimension: str, where: str) -> Measured:
     if len(parts) == 1:
         return Measured(quantity(text, dimension, where))
     (value, value_unit), (sd, sd_unit) = (_split_unit(part, dimension, where) for part in parts)
+    if value_unit and not sd_unit:
+        raise InputError(f"{text!r} has an error without a unit", where, f"did you mean '{text.strip()} {value_unit}'?")
     size = _get_size(sd_unit, text, dimension, where)
     if sd < 0:
         raise InputError(f"{text!r} has a negative standard deviation", where, "write it as a positive number")
@@ -160,8 +157,9 @@ def exact_in_si(value: Stated | None, dimension: str, key: str) -> float | None:
 def in_unit(text: str, unit: str, name: str, where: str) -> float:
     """Return a typed value of a parameter in its unit, such as ``m s^-2``; a bare number is in that already."""
     parts = _QUANTITY.fullmatch(text.strip())
-    if not parts or not math.isfinite(float(parts[1])):
-        raise InputError(f"{name} is {text!r}, not a number", where, f"give one in {unit}" if unit else "give one")
+    if not parts or parts[2].startswith(",") or not math.isfinite(float(parts[1])):
+        hint = " with a decimal point" if "," in text else ""
+        raise InputError(f"{name} is {text!r}, not a number", where, f"give one{hint}{f' in {unit}' if unit else ''}")
     if parts[2].strip() in ("", unit):
         return float(parts[1])
     (size, dimension), (own_size, own_dimension) = _composed(parts[2]), _composed(unit)

@@ -11,14 +11,16 @@ from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOption
 from daq.recorder.notes import NO_NOTES, NoteFlags
 from stickslip.console import application
 from stickslip.console.application import Answer, Json
-from stickslip.console.flags import Force
+from stickslip.console.flags import OUTPUT, Force
 from stickslip.console.rig_flags import NO_RIG, RigFlags
 from stickslip.errors import InputError
 
 if TYPE_CHECKING:
     from daq.runfile.rig import Rig
 
-Output = Annotated[Path | None, Parameter(name=["--output", "-o"], help="Run file to write.")]
+Output = Annotated[
+    Path | None, Parameter(name=["--output", "-o"], metavar="RUN.h5", help="Run file to write.", group=OUTPUT)
+]
 
 
 def import_table(
@@ -43,17 +45,17 @@ def import_table(
     of the slips.
 
     A tribometer's record of the force of a pulling spring is read by --spring-force: the position is force /
-    stiffness, as seen from the pulling end, which moves at --belt.  A belt that was measured is --belt-column.
+    stiffness, as seen from the pulling end, which moves at --belt-speed.  A belt that was measured is --belt-column.
 
-    Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --stiffness "10.5 N/m"
+    Example: daq import track.csv
 
-    Example: daq import track.csv -o run.h5 --x-unit mm --x0 "60 mm +- 0.1 mm"
+    Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --x0 "60 mm +- 0.1 mm"
 
     Example: daq import measurement.lvm -o run.h5 --belt-column stage
 
     Example: daq import encoder.xlsx -o run.h5 --counts-per-rev 16384 --circumference "125.66 mm"
 
-    Example: daq import force.csv -o run.h5 --spring-force F --force-unit mN --stiffness "168 N/m" --belt "42 um/s"
+    Example: daq import force.csv --spring-force F --force-unit mN --stiffness "168 N/m" --belt-speed "42 um/s"
     """
     from dataclasses import replace
 
@@ -167,10 +169,10 @@ def export(
     *,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="Table to write, .csv or .parquet: its suffix is the format."),
+        Parameter(name=["--output", "-o"], metavar="FILE", help="Table to write, .csv or .parquet.", group=OUTPUT),
     ] = None,
-    csv: Annotated[Path | None, Parameter(help="CSV file to write.")] = None,
-    parquet: Annotated[Path | None, Parameter(help="Parquet file to write.")] = None,
+    csv: Annotated[Path | None, Parameter(show=False)] = None,
+    parquet: Annotated[Path | None, Parameter(show=False)] = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:

@@ -1,6 +1,6 @@
 """`daq note` and `daq list`: what people wrote about their runs, and the runs of a folder."""
 
-import textwrap
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from daq.runfile.listing import RunRow
     from daq.runfile.recording import Recording
 
-WIDTH = 80  # columns of a terminal
-LONGEST_NOTE = 2 * WIDTH  # characters of a note in a list; 'daq note RUN.h5' prints all of it
+END_OF_LAW = re.compile(r"[:,.;] ")  # in a verdict, after the name of its law
 
 
 def _parse_markers(type_: Any, tokens: Sequence[cyclopts.Token]) -> list[tuple[float, str]]:
@@ -90,10 +89,9 @@ def list_runs(
     *,
     json: Json = False,
 ) -> Answer:
-    """List the runs in folders, oldest first: title, date, duration, rate, lost samples, sticks and verdict.
+    """List the runs in folders, oldest first, a line a run: date, duration, rate, sticks, verdict, title.
 
-    A joint fit stands among them with its date, its runs and its verdict. Of a fit that left something out (--from,
-    --to, --laws, --exclude-cycles) it says what was fitted.
+    The notes of a run are printed by 'daq note RUN.h5'; --json has everything.
 
     Example: daq list measurements
     """
@@ -103,27 +101,23 @@ def list_runs(
     if not rows:
         where = ", ".join(str(folder) for folder in folders) or "this folder"
         return Answer([], f"no runs in {where}")
-    return Answer([vars(row) for row in rows], "\n".join(line for row in rows for line in _format_row(row)))
+    width = max(len(str(row.file)) for row in rows)
+    return Answer([vars(row) for row in rows], "\n".join(f"{row.file!s:{width}}  {_describe(row)}" for row in rows))
 
 
-def _format_row(row: "RunRow") -> list[str]:
-    """Return the lines about one run: its facts, what people wrote, and the verdict."""
-    about = [row.title, row.sample, row.operator, *(f"{name}={value}" for name, value in row.tags.items())]
+def _describe(row: "RunRow") -> str:
+    """Return the facts of a run, the law of its verdict, and what people wrote, on one line."""
     facts = [
-        (row.date, f"{'file of ' * row.of_file}{(row.date or '')[:16].replace('T', ' ')}"),
-        (row.duration, f"{row.duration:.4g} s" if row.duration is not None else ""),
-        (row.rate, f"{row.rate:.5g} Hz" if row.rate is not None else ""),
-        (row.lost, f"{row.lost} lost"),
-        (row.sticks, f"{row.sticks} sticks"),
-        (row.runs, f"{row.runs} runs fitted jointly"),
-    ]
-    lines = [
-        ", ".join(text for fact, text in facts if fact is not None),
-        ", ".join(text for text in about if text),
-        textwrap.shorten(row.note or "", LONGEST_NOTE, placeholder=" ..."),
+        f"{'file of ' * row.of_file}{row.date[:16].replace('T', ' ')}" if row.date else "",
+        f"{row.duration:.4g} s" if row.duration is not None else "",
+        f"{row.rate:.5g} Hz" if row.rate is not None else "",
+        f"{row.lost} lost" if row.lost else "",
+        f"{row.sticks} sticks" if row.sticks is not None else "",
+        f"{row.runs} runs fitted jointly" if row.runs is not None else "",
+        END_OF_LAW.split(row.verdict)[0] if row.verdict else "",
         f"fitted: {row.part}" if row.part else "",
-        row.verdict,
-        row.problem,
+        row.problem or "",
+        *(text for text in (row.title, row.sample) if text),
+        *(f"{name}={value}" for name, value in row.tags.items()),
     ]
-    inside = [textwrap.fill(line, WIDTH, initial_indent="  ", subsequent_indent="  ") for line in lines if line]
-    return [str(row.file), *inside]
+    return ", ".join(" ".join(fact.split()) for fact in facts if fact)

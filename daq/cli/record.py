@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 DEFAULT_SCENE = "rig"
 
 Duration = Annotated[float, flags.quantity("--duration", "time", "Time to record: '20', '20 s', '5 min'.")]
-Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file; run-{n:03}.h5 is numbered.")]
+Output = Annotated[
+    Path,
+    cyclopts.Parameter(
+        name=["--output", "-o"], metavar="RUN.h5", help="The run file; run-{n:03}.h5 is numbered.", group=flags.OUTPUT
+    ),
+]
 Scene = Annotated[
     str | None,
     cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file; default rig."),
@@ -73,6 +78,8 @@ def record(
     Values given as flags (--mass, --metres-per-count ...) override those of --rig and of the board.
 
     In the name of the run file {n} is replaced by the next free number, {date} by date and time.
+
+    Example: daq record
 
     Example: daq record --rate 1000 --duration 20 -o run.h5
 

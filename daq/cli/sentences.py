@@ -61,7 +61,7 @@ def format_travel(low: float, high: float, unit: str) -> str:
 
 def format_written(file: Path | None) -> list[str]:
     """Return the last two lines: the run file, and the command to type next."""
-    return [f"-> {file}", f"next: process smooth {shlex.quote(str(file))}"]
+    return [f"-> {file}", f"next: fit-friction {shlex.quote(str(file))}"]
 
 
 def format_recording(done: str, quality: "RecordingQuality") -> str:

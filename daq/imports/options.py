@@ -25,15 +25,15 @@ class ImportOptions(RigFlags):
     spring_force: Annotated[
         str | None,
         Parameter(
-            help="Column of the force of the pulling spring, instead of --position: name or number. The position is "
-            "force / --stiffness, the stretch, positive while the spring is pulled; --belt is then the pulling speed."
+            help="Column of the force of the pulling spring, instead of --position. The position is force / "
+            "--stiffness, positive while the spring is pulled; --belt-speed is then the pulling speed."
         ),
     ] = None
     force_unit: Annotated[
         str | None,
         Parameter(
-            help="Unit of --spring-force: N, mN ..., or weight for a force divided by the weight of the slider, which "
-            "needs --mass; without it positions are in units of weight / stiffness. Default from the header, else N."
+            help="Unit of --spring-force; default from the header, else N. weight: a force over the slider's weight; "
+            "without --mass positions are then in units of weight / stiffness."
         ),
     ] = None
     belt_column: Annotated[
@@ -54,9 +54,9 @@ class ImportOptions(RigFlags):
     frame_rate_hz: Annotated[
         float | None, flags.rate("--frame-rate", "The camera's true rate, '400 fps': makes or corrects the times.")
     ] = None
-    datum: Annotated[
-        Measured | None, flags.measured("--datum", "length", "-x0, which is added to all positions; use --x0.", "datum")
-    ] = None
+    datum: Annotated[Measured | None, flags.measured("--datum", "length", "-x0.", "datum"), Parameter(show=False)] = (
+        None
+    )
     started: Annotated[
         str | None, Parameter(name="--start", help="Start time, ISO 8601 with time zone; default the file's date.")
     ] = None

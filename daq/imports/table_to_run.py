@@ -297,7 +297,7 @@ def _check_options(options: ImportOptions, stated: Mapping[str, Measured | int])
         what = "--spring-force excludes --position and --x-unit"
         raise InputError(what, "command line", "give --force-unit for the unit of the force")
     if _is_over_weight(options) and options.mass is None:
-        in_si = {"--belt": options.belt_speed, "--x0": options.x0, "--datum": options.datum}
+        in_si = {"--belt-speed": options.belt_speed, "--x0": options.x0, "--datum": options.datum}
         for flag, value in (in_si | {"--belt-column": options.belt_column}).items():
             if value is not None:
                 what = f"{flag} is in SI, but positions are in units of weight / stiffness without the slider's --mass"

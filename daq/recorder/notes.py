@@ -6,13 +6,14 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from stickslip.console.flags import NOTES
 from stickslip.errors import InputError
 
 TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # a name that every HDF5 and NeXus reader accepts
 LONGEST = 10_000  # characters, at most four bytes each: the title is an HDF5 attribute too, which holds 64 kB
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=NOTES)
 @dataclass(frozen=True)
 class NoteFlags:
     """The notes as typed; None where not given."""

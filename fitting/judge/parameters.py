@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fitting.distributions import student_quantile
+from fitting.judge.friction import friction_at
 from fitting.least_squares.levenberg_marquardt import linearise
 from fitting.least_squares.normal_equations import (
     ROUNDING,
@@ -72,6 +73,14 @@ class Parameter:
             return f"{self.value:.4g} {self.unit} (interval withheld)".replace("  ", " ")
         digits = self.decimals
         return f"{self.value:.{digits}f} [{self.lo:.{digits}f}, {self.hi:.{digits}f}] {self.unit}".rstrip()
+
+    @property
+    def brief(self) -> str:
+        """Value and standard error with two digits of the error."""
+        if self.fixed or not self.trusted:
+            return str(self).split(" (interval")[0]
+        digits = self.decimals
+        return f"{self.value:.{digits}f} +- {self.stderr:.{digits}f} {self.unit}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
         error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD
@@ -339,6 +348,28 @@ def _differences(fit: Fit, known: "Known", own: Mapping[str, Parameter], quantil
 
 def _level_known(item: Parameter) -> bool:
     return item.stderr < STATED_ERROR * abs(item.value)
+
+
+def friction_band(fit: Fit, motion: MeasuredMotion, speed: Array, alpha: float) -> Array:
+    """Return half the width of the confidence interval of friction (n,) at each slip speed, in `friction.unit`."""
+    known = _known(fit, motion, 0)
+
+    def friction_of(q: Array, stretched: float = 1.0) -> Array:
+        moved = fit.q.copy()
+        moved[known.places] = q
+        return stretched * friction_at(replace(fit, q=moved), motion, speed / stretched)
+
+    slopes = []
+    for k, value in enumerate(known.q.tolist()):
+        step = np.zeros(known.q.size)
+        step[k] = 1e-6 * max(abs(value), 1e-6)
+        slopes.append((friction_of(known.q + step) - friction_of(known.q - step)) / (2 * step[k]))
+    variance = np.einsum("in,sij,jn->sn", slopes, known.spreads, slopes).max(axis=0)
+    of_lengths = (friction_of(known.q, 1 + 1e-6) - friction_of(known.q, 1 - 1e-6)) / 2e-6 * motion.length_error
+    scale = motion.mass or motion.stiffness
+    of_scale = 0.0 if scale is None else scale.sd / scale.value * friction_of(known.q)
+    quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
+    return np.asarray(quantile * np.sqrt(variance + of_lengths**2 + of_scale**2))
 
 
 def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations:

@@ -266,10 +266,11 @@ def write(path: Path, rankings: Sequence[tuple[Path, Sequence[dict[str, Any]]]])
         temporary.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,  # the bytes of a path
     ):
         out = csv.writer(file)
-        columns = [f"{name}{part}" for name in names for part in ("", " stderr")]
+        parts = ("value", "stderr", "lo", "hi")
+        columns = [name if part == "value" else f"{name} {part}" for name in names for part in parts]
         more = [key for key in ("formula", "asked", "reason") if any(key in row for _, row in rows)]
         out.writerow(["file", *EVIDENCE, *more, *columns])
         for run, row in rows:
-            values = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
+            values = [row["parameters"].get(name, {}).get(part, "") for name in names for part in parts]
             beside = [int(row.get(key, True)) if key == "asked" else row.get(key, "") for key in more]
             out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *beside, *values])

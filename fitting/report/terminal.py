@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fitting import noise_levels
 from fitting.judge.adequacy import Adequacy
 from fitting.report import page
 from fitting.report.symbols import MOTION, formula
-from fitting.result import Ranking
+from fitting.result import LawResult, Ranking, UnfittedLaw
 from fitting.words.verdict import format_probability
 from processing.statistics import pooled
 from stickslip.console import application
@@ -22,43 +23,48 @@ INTERVAL = 3  # column of the table of parameters that may be broken over two li
 
 def of_ranking(ranking: Ranking, written: Sequence[Path | None]) -> list[Any]:
     """Return the lines and tables of a ranking; ``written`` are the files of joint fit and report."""
-    # The last line is the verdict too: it is what a long output ends on, and what scripts read.
-    lines: list[Any] = [f"verdict: {ranking.verdict}"]
+    lines: list[Any] = []
     if ranking.rows:
         law = f"{ranking.best.label}: {formula(ranking.best.fit.law)}; {MOTION}"
         unfitted = [f"law {row.law} was not fitted: {row.reason}" for row in ranking.unfitted]
         lines += [_laws(ranking), *unfitted, _parameters(ranking), law, *_adequacy(ranking.adequacy)]
-    lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += pooled(ranking.statistics).sentences("m")
-    named = [f"; {kind}: {path}" for kind, path in zip(("joint fit", "report"), written, strict=True) if path]
-    cycles = f"{ranking.best.cycles} cycles, " if ranking.rows else ""
-    lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time{''.join(named)}")
-    lines.append(f"verdict: {ranking.verdict}")
+    lines += [f"{kind}: {path}" for kind, path in zip(("joint fit", "report"), written, strict=True) if path]
+    lines += [f"warning: {warning}" for warning in ranking.warnings]
+    lines.append(application.verdict(ranking.verdict, len(ranking.members)))
     return lines
 
 
 def _laws(ranking: Ranking) -> "Table":
-    table = application.table("friction laws, best first", ("law", "rms error", "misfit", "behind", "weight", "in set"))
+    table = application.table(
+        "friction laws, best first", ("law", "rms error", "misfit", "Δ log error", "weight", "compatible")
+    )
     for row in ranking.rows:
         style = "bold" if row.in_set else None
         member = "yes" if row.in_set else "-"
         shown = (format_length(row.rms_m), f"{row.misfit:.3g}", *page.format_evidence(row), member)
-        table.add_row(row.title, *shown, style=style)
+        table.add_row(_title(row), *shown, style=style)
     for law in ranking.unfitted:
-        table.add_row(law.title, "not fitted", *["-"] * 4)
+        table.add_row(_title(law), "not fitted", *["-"] * 4)
     return table
+
+
+def _title(row: LawResult | UnfittedLaw) -> str:
+    return row.title if row.formula is None else str(row.law)
 
 
 def _adequacy(adequacy: Adequacy) -> list[Any]:
     lines: list[Any] = []
     goodness = adequacy.goodness
     if goodness is not None:
-        lines.append(
-            f"goodness of fit: {adequacy.said}; residuals {goodness.misfit:.3g} times the noise of "
-            f"{1e6 * goodness.noise_m:.3g} um, repeating share {goodness.repeat:.2g}, "
-            f"p {format_probability(goodness.p_value)}; "
-            f"smallest visible departure of friction: {page.smallest_departure(adequacy)}"
-        )
+        noise_words = f"noise of {1e6 * goodness.noise_m:.2g} um"
+        clear = goodness.misfit > noise_levels.CLEARLY_ABOVE
+        residual = f"{goodness.misfit:.3g} times the {noise_words}" if clear else f"at the {noise_words}"
+        p_value = format_probability(goodness.p_value)
+        lines.append(f"goodness of fit: {adequacy.said}; residual {residual}" + f", p {p_value}" * goodness.judged)
+        if adequacy.smallest_visible is not None and not adequacy.rejected:
+            smallest = page.smallest_departure(adequacy)
+            lines.append(f"a deviation from this law above {smallest} would have been detected")
     if adequacy.departures:
         title = "with a departure of the rig" if adequacy.rejected else "beside the law"
         table = application.table(title, ("departure", "sigmas", "size", "std. error", "unit", "explained"))

@@ -200,6 +200,7 @@ def _rows_of(
             outside_band=adequacy.outside_band.get(fit.law.key),
             formula=None if fit.law.number else fit.law.formula,
             asked=competitors.asks(fit.law),
+            alpha=options.alpha,
         )
         for part, own, distance, motion in zip(parts, parameters, distances, motions, strict=True)
     ]

@@ -1,6 +1,7 @@
 """The verdict in words."""
 
 import math
+import re
 from collections.abc import Sequence
 
 from fitting import noise_levels
@@ -40,26 +41,38 @@ def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]])
         unit, name = UNITS[one.code], one.code.replace("-", " ")
         if one.code not in clauses:
             clauses[one.code] = f"{name} (stated {one.expected:.3g} {unit}, the record shows {one.value:.3g} {unit})"
-    return f"{verdict}; it contradicts the stated {' and '.join(clauses.values())}" if clauses else verdict
+    if not clauses:
+        return verdict
+    return f"{verdict.removesuffix('.')}. It contradicts the stated {' and '.join(clauses.values())}."
 
 
 def _compatible(ranking: Ranking) -> str:
     formulas = [row for row in ranking.rivals if row.in_set]
     if ranking.best.formula is not None:
-        words = _of_formula(ranking)
+        sentences = _of_formula(ranking)
     else:
-        words = _of_six(ranking) if ranking.sustained else _constant_friction(ranking)
+        sentences = _of_six(ranking) if ranking.sustained else [_constant_friction(ranking), _fit(ranking)]
         if formulas:
             named = " or ".join(f"{row.called} ({row.shown})" for row in formulas)
-            words += f"; {named} describes the record as well"
+            sentences.append(f"{named} describes the record as well")
     equal = next((row for row in ranking.rows if row.law in ranking.not_excluded[:1]), None)
-    if equal is not None and f"; {equal.label} " not in words:  # unless it was named as the next best
-        words += f"; {equal.called} fits equally well"
+    if equal is not None and not any(_names(sentence, equal) for sentence in sentences[1:]):
+        sentences.append(f"{equal.called} fits equally well")
     rest_known = all(side.motion.datum_prior is not None for side in ranking.sides)
     others = (*ranking.members[1:], *ranking.not_excluded)
     if others and not rest_known and (formulas or any(isinstance(law, str) for law in others)):
-        words += ": the spring's rest position (--x0) would help to distinguish them"
-    return words
+        sentences.append("the rest position (--x0) would help to distinguish them")
+    return _join(sentences)
+
+
+def _join(sentences: Sequence[str]) -> str:
+    """Return sentences as a text; the first begins in lower case, after "verdict:"."""
+    first, *others = sentences
+    return ". ".join([first, *(sentence[:1].upper() + sentence[1:] for sentence in others)]) + "."
+
+
+def _names(sentence: str, row: LawResult) -> bool:
+    return re.search(rf"{re.escape(row.label)}(?![\w-])", sentence) is not None
 
 
 def _cycles(ranking: Ranking) -> str:
@@ -67,46 +80,56 @@ def _cycles(ranking: Ranking) -> str:
     return f"{ranking.best.cycles} cycles{runs}"
 
 
-def _of_six(ranking: Ranking) -> str:
-    best, cycles = ranking.best, _cycles(ranking)
+def _fit(ranking: Ranking, subject: str = "it") -> str:
+    best = ranking.best
+    clear = best.misfit > noise_levels.CLEARLY_ABOVE
+    noise = f"{best.misfit:.3g} times the noise" if clear else "the noise level"
+    return f"{subject} fits {_cycles(ranking)} to {format_length(best.rms_m)} rms, {noise}"
+
+
+def _of_six(ranking: Ranking) -> list[str]:
+    best = ranking.best
     members = [row for row in ranking.rows if row.in_set and isinstance(row.law, int)]
-    fit = f"{cycles} fit to {format_length(best.rms_m)} rms"
     if len(members) > 1:
         others = " or ".join(row.called for row in members[1:])
         split = SPLITS.get(frozenset(int(row.law) for row in members[:2]), f"more cycles{OTHER_SPEEDS}")
         if ranking.runs:
             split = split.removesuffix(OTHER_SPEEDS)
         if _gives(ranking):
-            return (
-                f"{best.called} on a belt that slows under load, or {others}: equivalent, the record cannot "
-                f"distinguish them ({fit}); {split} would"
-            )
+            head = f"{best.called} on a belt that slows under load, or {others}: the record cannot distinguish them"
+            return [head, _fit(ranking, best.label), f"{split} would distinguish them"]
         lag, best_lag = (0.0 if row.behind is None else row.behind[0] for row in (members[1], best))
-        return (
-            f"{best.called} or {others}: {cycles} cannot distinguish them (their errors differ by "
-            f"{100 * math.expm1(abs(lag - best_lag)):.0f} %, within the scatter between cycles); {split} would"
-        )
-    rest = next((row for row in ranking.rows if isinstance(row.law, int) and not row.in_set), None)
-    if rest is not None:
-        return f"{best.called}: {fit}; {_behind(best, rest)}"
+        return [
+            f"{best.called} or {others}: {_cycles(ranking)} cannot distinguish them (their errors differ by "
+            f"{100 * math.expm1(abs(lag - best_lag)):.0f} %, within the scatter between cycles)",
+            f"{split} would distinguish them",
+        ]
     alone = ", the only law fitted" if len([row for row in ranking.rows if row.asked]) == 1 else ""
-    return f"{best.called}{alone}: {fit}"
+    rest = next((row for row in ranking.rows if isinstance(row.law, int) and not row.in_set), None)
+    return [_with_parameters(best, alone), _fit(ranking), *([] if rest is None else [_behind(best, rest)])]
+
+
+def _with_parameters(row: LawResult, remark: str = "") -> str:
+    law = row.fit.law
+    curve = law.formula.replace("*", " ") if law.number else law.formula
+    return f"{row.called}{remark}, F = {curve}" + (f": {row.shown}" if row.shown else "")
 
 
 def _behind(best: LawResult, other: LawResult) -> str:
     ratio = other.rms_m / best.rms_m
     if ratio > 1.2:
         return f"the next best, {other.label}, has {ratio:.3g} times the error"
+    if other.fit.law.is_ramp_of(best.fit.law):
+        return f"a ramp ({other.label}) does not improve the fit"
     more = other.fit.law_parameters > best.fit.law_parameters
-    lag = "does not fit better despite its extra parameter" if more else "fits slightly worse"
-    return f"{other.label} {lag}"
+    return f"{other.label} {'does not fit better despite its extra parameter' if more else 'fits slightly worse'}"
 
 
 def _constant_friction(ranking: Ranking) -> str:
     six, best = [row for row in ranking.rows if isinstance(row.law, int)], ranking.best
     head = "no sustained stick: constant friction, "
     if len([row for row in six if row.in_set]) == 1:
-        return head + f"{best.called} by the start-up drag"
+        return head + f"{_with_parameters(best)}, by the start-up drag"
     if len(six) == 1:
         return head + f"{best.called}, the only law fitted"
     if _gives(ranking):
@@ -120,21 +143,21 @@ def _gives(ranking: Ranking) -> bool:
     return not measured and Global.COMPLIANCE in ranking.best.fit.places
 
 
-def _of_formula(ranking: Ranking) -> str:
+def _of_formula(ranking: Ranking) -> list[str]:
     best, six = ranking.best, [row for row in ranking.rows if isinstance(row.law, int)]
-    head = f"{best.called}: {_cycles(ranking)} fit to {format_length(best.rms_m)} rms, {best.shown}"
+    sentences = [_with_parameters(best), _fit(ranking)]
     others = [row for row in ranking.rows if row.in_set and row is not best]
     if others:
         named = " or ".join(f"{row.called} ({row.shown})" for row in others)
-        head = f"{head}; or {named}: the record cannot distinguish them"
+        sentences.append(f"the record cannot distinguish it from {named}")
     if not six:
         rest = next((row for row in ranking.rows if not row.in_set), None)
-        return head if rest is None else f"{head}; {_behind(best, rest)}"
+        return sentences if rest is None else [*sentences, _behind(best, rest)]
     if six[0].in_set:
-        return head
+        return sentences
     whole = ", the best of the six," if len(six) == len(ALL_LAWS) else ""
     lead = 0.5 * ((six[0].score or 0.0) - (best.score or 0.0))
-    return f"{head}; {six[0].called}{whole} is behind by {lead:.3g} in log evidence"
+    return [*sentences, f"{six[0].called}{whole} is worse by {float(f'{lead:.3g}'):g} in log evidence"]
 
 
 def _no_law(ranking: Ranking, cause: str) -> str:
@@ -145,8 +168,8 @@ def _no_law(ranking: Ranking, cause: str) -> str:
     else:
         custom = adequacy.verdict == NONE_FITTED or any(row.formula is not None for row in asked)
         head = f"none of the {'laws fitted' if custom else 'six laws'} describes this record"
-    parts = [cause, _left_over(rows[0], adequacy, len(rows))]
-    return f"{head}, nor does a published curve: {'; '.join(part for part in parts if part)}"
+    residual = _residual_of(rows[0], adequacy, len(rows))
+    return _join([f"{head}, nor does a published curve", *([cause] if cause else []), residual])
 
 
 def _instead(adequacy: Adequacy) -> str:
@@ -161,24 +184,21 @@ def _instead(adequacy: Adequacy) -> str:
             f"friction fluctuates at random within slips, by about {100 * adequacy.fluctuation:.2g} % of Fs (nothing "
             "of the residual repeats from cycle to cycle)"
         )
-    return "a deterministic effect that none of these models has: the residual repeats from cycle to cycle"
+    return "the residual repeats from cycle to cycle: a deterministic effect that none of these models has"
 
 
-def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
-    named = f"{best.called}, the closest," if laws > 1 else "it"
-    left = f"{named} leaves residuals of {format_length(best.rms_m)} rms"
-    found, outside = adequacy.goodness, best.outside_band
-    if found is None:
-        return left
-    times = (
-        f", {found.misfit:.3g} times the noise"
-        if found.misfit > noise_levels.CLEARLY_ABOVE
-        else ", too regular for noise"
-    )
+def _residual_of(best: LawResult, adequacy: Adequacy, laws: int) -> str:
+    named = f"the closest, {best.called}," if laws > 1 else "it"
+    residual = f"{named} has residuals of {format_length(best.rms_m)} rms"
+    goodness, outside = adequacy.goodness, best.outside_band
+    if goodness is None:
+        return residual
+    clear = goodness.misfit > noise_levels.CLEARLY_ABOVE
+    times = f"{goodness.misfit:.3g} times the noise" if clear else "too regular for noise"
     band = ""
     if adequacy.of_speed and outside is not None and outside.half_widths > 1:
-        band = f", and leaves the measured band by {outside.half_widths:.2g} half-widths at {outside.speed:.2g} m/s"
-    return f"{left}{times}{band} (p {format_probability(found.p_value)})"
+        band = f", and is outside the measured band by {outside.half_widths:.2g} half-widths at {outside.speed:.2g} m/s"
+    return f"{residual}, {times}{band} (p {format_probability(goodness.p_value)})"
 
 
 def format_probability(p: float | None) -> str:

@@ -38,12 +38,12 @@ class Law:
 LAWS = {
     law.number: law
     for law in (
-        Law(1, "constant friction", "constant", "jump", ("Fs",)),
-        Law(2, "constant friction with a ramp", "constant", "ramp", ("Fs", "d")),
-        Law(3, "friction falling linearly", "linear", "jump", ("Fs", "G_slip")),
-        Law(4, "friction falling linearly, with a ramp", "linear", "ramp", ("Fs", "G_slip", "d")),
-        Law(5, "friction falling hyperbolically", "hyperbolic", "jump", ("Fs", "gamma")),
-        Law(6, "friction falling hyperbolically, with a ramp", "hyperbolic", "ramp", ("Fs", "gamma", "d")),
+        Law(1, "constant", "constant", "jump", ("Fs",)),
+        Law(2, "constant + ramp", "constant", "ramp", ("Fs", "d")),
+        Law(3, "linear", "linear", "jump", ("Fs", "G_slip")),
+        Law(4, "linear + ramp", "linear", "ramp", ("Fs", "G_slip", "d")),
+        Law(5, "hyperbolic", "hyperbolic", "jump", ("Fs", "gamma")),
+        Law(6, "hyperbolic + ramp", "hyperbolic", "ramp", ("Fs", "gamma", "d")),
     )
 }
 

@@ -20,6 +20,7 @@ import json
 import logging
 import math
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,7 @@ import cyclopts
 
 from stickslip.compute.interpreter import ignore_settings
 from stickslip.console import log
+from stickslip.console.flags import OUTPUT
 from stickslip.console.termination import end_by_signal, heed_signals
 from stickslip.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
 from stickslip.text import SPELLED, printable
@@ -49,11 +51,19 @@ WHOLE = ("next:", "-> ")  # how lines begin that name a command or a file
 # What is most likely wanted of a file that stands where a command should, by the end of its name.
 COMMAND_OF_FILE = {".h5": "process smooth", ".part": "daq recover", ".toml": "rig-sim events"}
 COMMAND_OF_FILE |= dict.fromkeys((".csv", ".tsv", ".txt", ".mat", ".xlsx", ".lvm", ".tdms"), "daq import")
+# Words of `stickslip` that are typed after another command.
+COMMAND_OF_WORD = {
+    "fit": "fit-friction",
+    "rank": "fit-friction",
+    "smooth": "process smooth",
+    "inspect": "process inspect",
+}
+COMMAND_OF_WORD |= {"record": "daq record", "import": "daq import", "list": "daq list", "cycle": "rig-sim cycle"}
 logger = logging.getLogger(__name__)
 
 Json = Annotated[
     bool,
-    cyclopts.Parameter(name="--json", negative=(), help="Print one JSON document to stdout and nothing else."),
+    cyclopts.Parameter(name="--json", negative=(), group=OUTPUT, help="Print one JSON document and nothing else."),
 ]
 SetChanges = Annotated[
     list[str] | None,
@@ -107,7 +117,9 @@ def application(name: str, summary: str = "", example: str = "", usage: str | No
         suppress_keyboard_interrupt=False,
         default_parameter=cyclopts.Parameter(show_default=format_default),
     )
-    app.register_install_completion_command(help="Install completion of this command's words in your shell, and exit.")
+    app.register_install_completion_command()
+    for flag in ("--help", "--version", "--install-completion"):  # the epilogue names them
+        app[flag].show = False
     return app
 
 
@@ -220,13 +232,10 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
         with log.log_to(flags, name, arguments):
             answer = app(rest, exit_on_error=False, print_error=False)
     except StickslipError as error:
+        error.do = _suggest_quotes(error.where, arguments) or error.do
         return _fail(name, error, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
-        forgotten = _suggest_command(error, name, rest)
-        what = _describe_unused(error) or " ".join(str(error).split()).removesuffix(".")
-        command = " ".join([name, *(error.command_chain or ())])
-        usage = forgotten or StickslipError(what, "command line", f"see '{command} --help'")
-        return _fail(name, usage, EXIT_INPUT, as_json)
+        return _fail(name, _explain_usage(error, name, rest), EXIT_INPUT, as_json)
     except KeyboardInterrupt:  # also of SIGTERM and SIGHUP
         return _fail(name, StickslipError("interrupted"), EXIT_INTERRUPTED, as_json)
     except BrokenPipeError:  # the reader of a help page has gone, as `| head` does
@@ -244,11 +253,51 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     return _print_answer(name, answer, as_json)
 
 
-def _describe_unused(error: cyclopts.CycloptsError) -> str:
-    """Return which words a command does not accept; "" of another error."""
-    if not isinstance(error, cyclopts.UnusedCliTokensError):
+def _explain_usage(error: cyclopts.CycloptsError, name: str, words: Sequence[str]) -> StickslipError:
+    """Return a mistake of the command line, with what to type."""
+    command = " ".join([name, *(error.command_chain or ())])
+    what, hint = " ".join(str(error).split()).removesuffix("."), ""
+    if isinstance(error, cyclopts.UnknownCommandError):
+        if meant := _suggest_command(error, name, words):
+            return meant
+        what = what.partition(" Available commands")[0] if "Did you mean" in what else what
+    elif isinstance(error, cyclopts.UnusedCliTokensError):
+        unused = error.unused_tokens or []
+        what = f"nothing takes {', '.join(map(repr, unused))}"
+        hint = _suggest_quotes(unused[0], words)
+    elif (
+        isinstance(error, cyclopts.UnknownOptionError)
+        and (flag := error.token.keyword or error.token.value)[1:2] != "-"
+    ):
+        what = f"Unknown option: {flag}"
+        hint = f"did you mean -{flag}?" if len(flag) > 2 else ""
+    elif isinstance(error, cyclopts.MissingArgumentError):
+        what = (
+            what.removeprefix(f'Command "{command.split()[-1]}" ')
+            .replace("parameter ", "", 1)
+            .removeprefix("Parameter ")
+        )
+        example = re.search(r"Example: (.*)", getattr(error.target, "__doc__", None) or "")
+        if error.keyword and error.argument is not None:
+            hint = f"write a value after {error.keyword}: {error.argument.parameter.help}".removesuffix(".")
+        elif example:
+            hint = f"as in '{example[1]}'"
+    elif isinstance(error, cyclopts.CoercionError) and error.token is not None and error.target_type in (int, float):
+        kind = "whole number" if error.target_type is int else "number"
+        what, hint = f"{error.token.keyword} is {error.token.value!r}, not a {kind}", f"give a {kind}"
+    return StickslipError(what, "command line", "; ".join(filter(None, [hint, f"see '{command} --help'"])))
+
+
+def _suggest_quotes(word: str, words: Sequence[str]) -> str:
+    """Return what to type where a word is the unit of the value before it; "" where it is not."""
+    place = words.index(word) if word in words and not word.startswith("-") else 0
+    if (
+        place < 2
+        or not words[place - 2].startswith("--")
+        or not re.fullmatch(r"[-+.\d]+(e[-+]?\d+)?", words[place - 1])
+    ):
         return ""
-    return f"nothing takes {', '.join(repr(word) for word in error.unused_tokens or ())}"
+    return f"put a value with a space in quotes: {words[place - 2]} '{words[place - 1]} {word}'"
 
 
 def _suggest_command(error: cyclopts.CycloptsError, name: str, words: Sequence[str]) -> StickslipError | None:
@@ -257,6 +306,9 @@ def _suggest_command(error: cyclopts.CycloptsError, name: str, words: Sequence[s
 
     if not isinstance(error, cyclopts.UnknownCommandError) or not error.unused_tokens:
         return None
+    if error.unused_tokens[0] in COMMAND_OF_WORD:
+        line = " ".join(map(shlex.quote, [*COMMAND_OF_WORD[words[0]].split(), *words[1:]]))
+        return StickslipError(f"{words[0]!r} is not a command of {name}", "command line", f"did you mean '{line}'?")
     file = next((word for word in words if os.path.splitext(word)[1].lower() in COMMAND_OF_FILE), None)
     if file is None or not (error.unused_tokens[0] == file or error.unused_tokens[0].startswith("-")):
         return None
@@ -375,6 +427,16 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
     return empty
 
 
+def verdict(sentences: str, laws: int) -> "str | Text":
+    """Return the verdict as its line; on a terminal in the colour of how many laws it leaves: one, several, or none."""
+    line = f"verdict: {sentences}"
+    if not sys.stdout.isatty():
+        return line
+    from rich.text import Text
+
+    return Text(printable(line, sys.stdout.encoding), style=("bold red", "bold green", "bold yellow")[min(laws, 2)])
+
+
 class Progress:
     """What a long job calls with the amount done so far; without a bar it draws nothing."""
 
@@ -389,8 +451,8 @@ class Progress:
     def __call__(self, done: float) -> None:
         self._update(completed=done)
 
-    def stage(self, description: str, done: float, total: float) -> None:
-        """Show how much is done of a stage of the job; rate and ETA restart with every stage."""
+    def stage(self, description: str, done: float, total: float | None) -> None:
+        """Show how much is done of a stage of the job, None for unknown; rate and ETA restart with every stage."""
         if description != self._stage:
             self._restart(description=description, total=total)
             self._stage = description

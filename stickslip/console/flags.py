@@ -5,13 +5,21 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import cyclopts
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from stickslip.errors import InputError
 from stickslip.units import check_measured
 
-Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an existing output file.")]
-Plot = Annotated[Path | None, Parameter(name="--plot", help="Draw the result into this file (.png, .svg, .pdf).")]
+# Groups of the help, in this order.
+LAWS, RIG, PART, OUTPUT, RUNS, NOTES = (
+    Group(title, sort_key=place)
+    for place, title in enumerate(("Laws", "What you know", "Which part", "Output", "Many runs", "Notes"))
+)
+OF_PART = Parameter(group=PART)
+Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an existing output file.", group=OUTPUT)]
+Plot = Annotated[
+    Path | None, Parameter(name=["--plot", "-o", "--output"], help="Draw the result: .png, .svg or .pdf.", group=OUTPUT)
+]
 
 
 def check_plot(plot: Path | None, force: bool) -> None:
@@ -22,7 +30,9 @@ def check_plot(plot: Path | None, force: bool) -> None:
         check_place(plot, force=force)
 
 
-def measured(name: str, dimension: str, text: str, key: str = "", word: str = "") -> Parameter:
+def measured(
+    name: str, dimension: str, text: str, key: str = "", word: str = "", old_name: str | None = None
+) -> Parameter:
     """Return a flag for a `Measured` in the range of the rig's quantity ``key``, or for the word ``word`` itself."""
 
     def convert(typed: str) -> Any:
@@ -33,7 +43,7 @@ def measured(name: str, dimension: str, text: str, key: str = "", word: str = ""
         value = units.measured(typed, dimension, name)
         return check_measured(key, value.value, value.sd, name) if key else value
 
-    return _make_flag(name, convert, text)
+    return Parameter.combine(_make_flag(name, convert, text), Parameter(group=RIG, alias=old_name))
 
 
 def quantity(name: str, dimension: str, text: str) -> Parameter:
@@ -89,4 +99,12 @@ def _make_flag(name: str, convert: Callable[[str], Any], text: str) -> Parameter
             raise InputError(f"has no value: {typed} stands in its place", name, f"write a value after {name}")
         return convert(typed)
 
-    return Parameter(name=name, converter=read, accepts_keys=False, n_tokens=1, allow_leading_hyphen=True, help=text)
+    return Parameter(
+        name=name,
+        converter=read,
+        accepts_keys=False,
+        n_tokens=1,
+        allow_leading_hyphen=True,
+        help=text,
+        metavar="VALUE",
+    )

@@ -22,8 +22,8 @@ from stickslip.text import printable
 PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
 MARK = "# log of stickslip"
 FLAGS = (
-    "Besides, every command takes --verbose, which prints on stderr what it does, and --log FILE, which adds that to a "
-    "file in more detail."
+    "All commands accept --verbose (progress on stderr), --log FILE (detailed log), --version and --help; "
+    "--install-completion lets your shell complete them."
 )
 # What the disk may answer to who writes on it: it is full, a quota is, it is damaged, it has become read-only.
 TAKES_NOTHING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)

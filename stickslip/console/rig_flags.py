@@ -37,7 +37,7 @@ class PitchFlags:
         ),
     ] = None
     counts_per_rev: Annotated[
-        int | None, Whole, Parameter(help="Counts in a turn of the encoder; with --circumference.")
+        int | None, Whole, Parameter(help="Counts in a turn of the encoder; with --circumference.", group=flags.RIG)
     ] = None
     circumference: Annotated[
         Measured | None,
@@ -70,7 +70,10 @@ class RigFlags(PitchFlags):
     mass: Mass = None
     stiffness: Stiffness = None
     belt_speed: Annotated[
-        Measured | None, flags.measured("--belt", "speed", "Belt speed towards +x: '0.22', '22 cm/s'.", "belt_speed")
+        Measured | None,
+        flags.measured(
+            "--belt-speed", "speed", "Belt speed towards +x: '0.22', '22 cm/s'.", "belt_speed", old_name="--belt"
+        ),
     ] = None
     x0: RestPosition = None
 

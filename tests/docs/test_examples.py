@@ -89,7 +89,7 @@ def test_the_examples_do_what_the_page_says(name, tmp_path, monkeypatch):
             exec(compile(block.text, name, "exec"), names)
         else:
             test = doctest.DocTestParser().get_doctest(block.text, names, name, name, block.line)
-            runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
+            runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
             said: list[str] = []
             assert not runner.run(test, out=said.append, clear_globs=False).failed, "".join(said)
             names = test.globs

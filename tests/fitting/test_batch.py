@@ -104,7 +104,7 @@ def test_a_batch_says_of_each_run_what_the_command_says_of_it_alone(folder, caps
 def test_a_batch_is_a_table_on_the_screen(folder, capsys):
     assert application.run(cli.app, ["--each", str(folder / "five.h5"), str(folder / "none.h5"), "--laws", "3,5"]) == 2
     shown = capsys.readouterr().out
-    assert " five.h5     5   law 5 (friction falling hyperbolically)" in shown
+    assert " five.h5     5   law 5 (hyperbolic)" in shown
     assert " none.h5     -   error: is not an HDF5 file" in shown
     compared = folder / "five+1.each.html"
     assert f"2 runs: 1 decided, 0 undecided, 1 failed; comparison: {compared}" in shown

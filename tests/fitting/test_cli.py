@@ -219,6 +219,12 @@ def test_every_field_of_a_fit_is_in_its_tree(fitted):
     assert of_laws - parameters <= known
 
 
+def test_the_verdict_is_printed_once_and_last(fitted):
+    lines = [line for line in fitted[1].text if isinstance(line, str)]  # it came first too, before the tables
+    assert [line for line in lines if line.startswith("verdict: ")] == lines[-1:]
+    assert lines[-1].startswith("verdict: law 5 (hyperbolic), F = Fs/(1 + gamma s): Fs")
+
+
 def test_the_ranking_can_be_had_as_a_table(fitted):
     path, answer = fitted
     document, out = application.plain(answer.data), path.with_name("ranking.csv")
@@ -226,7 +232,8 @@ def test_the_ranking_can_be_had_as_a_table(fitted):
         rows = list(csv.DictReader(file))
     assert [int(row["law"]) for row in rows] == [row["law"] for row in document["ranking"]]
     assert float(rows[0]["k/m"]) == document["ranking"][0]["parameters"]["k/m"]["value"]
-    assert float(rows[0]["gamma stderr"]) == document["ranking"][0]["parameters"]["gamma"]["stderr"]
+    for part in ("stderr", "lo", "hi"):  # the page promised intervals that the table did not have
+        assert float(rows[0][f"gamma {part}"]) == document["ranking"][0]["parameters"]["gamma"][part]
     assert rows[1]["gamma"] == ""
 
 

@@ -48,7 +48,7 @@ def test_what_a_file_says_is_escaped_in_the_table(ranking):
     table = replace(ranking, warnings=("<script>.h5: k & c",))._repr_html_()
     assert "<script" not in table
     assert "&lt;script&gt;.h5: k &amp; c" in table
-    assert "falling hyperbolically" in table
+    assert "hyperbolic" in table
 
 
 def test_the_data_frame_has_a_row_a_law_with_its_parameters(ranking):
@@ -66,7 +66,7 @@ def test_the_curve_is_drawn_where_it_was_measured_and_the_law_in_its_band(rankin
     measured = ranking.adequacy.curve
     lines = drawn(ranking.plot())
     np.testing.assert_array_equal(lines["measured, without a law"], np.c_[measured.speed, measured.friction])
-    speed, force = lines["law 5 (friction falling hyperbolically)"].T
+    speed, force = lines["law 5 (hyperbolic)"].T
     np.testing.assert_allclose(force, force[0] / (1 + SLOPE * (speed - speed[0])), rtol=0.01)
     seen = np.interp(measured.speed, speed, force)
     assert ((seen > measured.lo) & (seen < measured.hi)).all()
@@ -85,7 +85,7 @@ def test_without_a_measured_curve_the_force_balance_is_drawn_beside_the_law(rank
     lines = drawn(replace(ranking, adequacy=replace(ranking.adequacy, curve=None)).plot())
     speed, force = lines["measured"].T
     slip = speed > 0.01
-    expected = np.interp(speed[slip], *lines["law 5 (friction falling hyperbolically)"].T)
+    expected = np.interp(speed[slip], *lines["law 5 (hyperbolic)"].T)
     assert slip.sum() > 1000
     assert np.median(np.abs(force[slip] / expected - 1)) < 0.05
 

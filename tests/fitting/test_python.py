@@ -17,7 +17,7 @@ from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.report import page
 from stickslip.console import application
-from stickslip.errors import StickslipError, in_python
+from stickslip.errors import InputError, StickslipError, in_python
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,6 +109,49 @@ def test_friction_is_the_formula_at_the_fitted_parameters(ranking, law):
     bend = found["gamma"] if law == 5 else 1 / found["v_s"]
     assert row.friction(s) == pytest.approx(found["Fs"] / (1 + bend * s), rel=1e-5)
     assert row.friction(-s[1:]) == pytest.approx(-row.friction(s[1:]))
+
+
+def test_the_band_of_a_law_is_the_interval_of_its_friction_level_at_rest(ranking):
+    row = ranking.row(5)
+    value, low, high = row.friction([0.0, 0.3], band=True)
+    level = row.parameters["Fs"]
+    np.testing.assert_allclose((value[0], low[0], high[0]), (level.value, level.lo, level.hi), rtol=1e-4)
+    np.testing.assert_array_equal(value, row.friction([0.0, 0.3]))
+    assert np.all((low < value) & (value < high))
+
+
+def test_summary_is_a_row_and_a_parameter_an_item(ranking, run):
+    (row,) = ranking.summary().to_dict("records")
+    assert (row["verdict"], row["law"], row["name"]) == (ranking.verdict, 5, "hyperbolic")
+    assert (row["gamma"], row["gamma stderr"]) == (ranking["gamma"].value, ranking["gamma"].stderr)
+    assert ranking.summary().attrs["units"]["gamma"] == "s/m"
+    with pytest.raises(KeyError, match="did you mean 'gamma'"):
+        ranking["gama"]
+
+
+def test_reports_have_the_form_of_lmfit_and_the_numbers_of_the_row(ranking):
+    report, intervals = ranking.fit_report(), ranking.ci_report()
+    for part in ("[[Model]]", "[[Fit Statistics]]", "[[Variables]]", "[[Correlations]]", ranking["gamma"].brief):
+        assert part in report
+    gamma = next(line.split() for line in intervals.splitlines() if line.startswith("gamma:"))
+    assert gamma[1:] == [f"{end:.3f}" for end in (ranking["gamma"].lo, ranking["gamma"].value, ranking["gamma"].hi)]
+    n, k = ranking.best.fit.residual.size, ranking.best.fit.q.size + ranking.best.fit.local.size
+    assert ranking.bic - ranking.aic == pytest.approx(k * (np.log(n) - 2))
+    assert ranking.aic == pytest.approx(2 * k + n * np.log(np.mean(ranking.residuals.residual_m**2)), rel=1e-9)
+
+
+def test_a_saved_ranking_is_loaded_as_it_was(ranking, tmp_path):
+    path = ranking.save(tmp_path / "run.ranking")
+    loaded = fitting.Ranking.load(path)
+    assert without_costs(application.plain(loaded.as_json())) == without_costs(application.plain(ranking.as_json()))
+    np.testing.assert_array_equal(loaded.best.position([2.0, 3.0]), ranking.best.position([2.0, 3.0]))
+    with pytest.raises(InputError, match="exists"):
+        ranking.save(path)
+    for name, content in (("none", None), ("other", b"stickslip ranking 0.0\n")):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match="no such file" if content is None else "not a ranking saved by"):
+            fitting.Ranking.load(tmp_path / name)
 
 
 def test_covariance_has_the_standard_errors_of_the_parameters(ranking):

@@ -47,7 +47,7 @@ def test_smooth_says_what_it_chose_and_found(typed, path):
     assert (data["sticks"], data["slips"]) == (4, 4)
     code, out, err = typed("smooth", path, "--window", "41")
     assert (code, err) == (0, "")
-    assert "Savitzky-Golay, window 41 samples (40 ms), order 4; recorded times" in out
+    assert "Savitzky-Golay, window 41 samples (40 ms), order 4; recorded time stamps used" in out
     assert "4 sticks and 4 slips" in out
 
 

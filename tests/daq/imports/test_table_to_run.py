@@ -412,7 +412,7 @@ def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv):
     np.testing.assert_allclose(bare.run.position, x, atol=1e-8)
     assert "units of weight / stiffness" in bare.warnings[0]
     assert bare.run.rig.stiffness is None
-    with pytest.raises(InputError, match="belt is in SI"):
+    with pytest.raises(InputError, match="belt_speed is in SI"):
         table_to_run.read(csv, options(**force, belt_speed=Measured(4.2e-5)))
     known = table_to_run.read(csv, options(**force | {"mass": Measured(0.03)}))
     np.testing.assert_allclose(known.run.position, x * 0.03 * 9.80665 / 168, atol=1e-10)

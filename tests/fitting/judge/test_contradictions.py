@@ -96,7 +96,7 @@ def test_a_rest_position_that_keeps_every_law_away_is_named_with_what_holds(rank
     assert finding.value == pytest.approx(0.0, abs=1e-3)
     assert finding.expected == rest
     assert finding.text.endswith("; no law describes the record with the stated one")
-    assert "it contradicts the stated x0" in ranking.verdict
+    assert "It contradicts the stated x0" in ranking.verdict
 
 
 def test_a_contradicted_x0_is_named_as_it_was_stated(smoothed):

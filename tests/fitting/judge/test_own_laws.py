@@ -96,8 +96,8 @@ def test_a_named_law_that_wins_ends_with_exit_code_0(won):
     assert (document["set"], document["rivals"]) == ([], ["mine"])
     assert document["adequacy"]["verdict"] == "adequate"
     assert job.exit_code(document) == 0
-    assert document["verdict"].startswith(f"law mine ({MINE}): ")
-    assert "law 5 (friction falling hyperbolically) is behind by" in document["verdict"]
+    assert document["verdict"].startswith(f"law mine, F = {MINE}: ")
+    assert "Law 5 (hyperbolic) is worse by" in document["verdict"]
     row = document["ranking"][0]
     assert (row["law"], row["formula"], row["asked"], row["in_set"]) == ("mine", MINE, True, True)
     assert won.ranking.best is won.ranking.row("mine")
@@ -164,7 +164,7 @@ def test_the_slope_of_law_3_is_fixed_in_newtons(smoothed):
     ranking = rank(smoothed(law=3, duration=10.0), laws=(3, 5), fix={"G_slip": 0.6})
     assert (ranking.laws_in_set, ranking.rivals) == ((3,), ())
     row = ranking.as_json()["ranking"][0]
-    assert (row["law"], row["name"]) == (3, "friction falling linearly")
+    assert (row["law"], row["name"]) == (3, "linear")
     assert "formula" not in row
     assert row["parameters"]["G_slip"] == {**row["parameters"]["G_slip"], "value": 0.6, "stderr": 0.0, "fixed": True}
     assert row["parameters"]["Fs"]["value"] == pytest.approx(1.3793, rel=3e-3)

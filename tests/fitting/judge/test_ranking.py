@@ -119,7 +119,7 @@ def test_a_bare_track_without_any_calibration_still_finds_its_law(belt_rig):
     ranking = rank(smooth(replace(recording, rig=bare)), laws=(3, 5, 6))
     assert ranking.laws_in_set[0] == 5
     assert "Fs" not in ranking.best.parameters
-    for missing in ("no x0", "no mass"):
+    for missing in ("x0 not given", "no mass"):
         assert any(missing in warning for warning in ranking.warnings)
 
 

@@ -1,5 +1,6 @@
 """The terminal: whatever goes wrong in a command is one document under --json."""
 
+import io
 import json
 import os
 import shutil
@@ -8,6 +9,10 @@ import sys
 
 import pytest
 
+from daq.cli.app import app as daq
+from fitting.cli import app as fit_friction
+from processing.cli import app as process
+from rig_sim.cli.app import app as rig_sim
 from stickslip.console import application
 from stickslip.errors import EXIT_DEVICE
 
@@ -80,3 +85,51 @@ def test_times_take_units(tmp_path, capsys, typed, samples):
 
     assert application.run(app, ["record", "--duration", typed, "-o", str(tmp_path / "run.h5"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["samples"] == samples
+
+
+@pytest.mark.parametrize(
+    ("app", "line"),
+    [
+        (fit_friction, "run.h5 -o a.html"),
+        (fit_friction, "run.h5 --report a.html"),
+        (fit_friction, "run.h5 --confidence 0.9"),
+        (fit_friction, "run.h5 --alpha 0.1"),
+        (fit_friction, "run.h5 --datum 1mm --datum-sd 0.1mm --damping 0.02 --damping-sd 0.001"),
+        (process, "inspect run.h5 -o a.png"),
+        (process, "inspect run.h5 --plot a.png"),
+        (process, "export run.h5 -o a.csv"),
+        (process, "export run.h5 --csv a.csv"),
+        (daq, "export run.h5 --csv a.csv --parquet a.parquet"),
+        (daq, "import a.csv --belt-speed 22cm/s"),
+        (daq, "import a.csv --belt 22cm/s --datum 1mm"),
+        (daq, "record --belt 22cm/s"),
+        (rig_sim, "sweep two-mass --over belt.speed=0.1:0.2 -o a.png"),
+        (rig_sim, "sweep two-mass --over belt.speed=0.1:0.2 --plot a.png"),
+    ],
+)
+def test_flags_of_all_releases_are_read(app, line):
+    app.parse_args(line, exit_on_error=False, print_error=False)
+
+
+def test_the_help_of_a_fit_is_a_screen_and_a_half_in_groups(capsys, monkeypatch):
+    # It had 115 lines, 33 flags without an order, and flags that have been replaced.
+    monkeypatch.setenv("COLUMNS", "80")
+    application.run(fit_friction, ["--help"])
+    page = capsys.readouterr().out
+    assert len(page.splitlines()) <= 72
+    groups = [page.index(f"─ {title} ─") for title in ("Laws", "What you know", "Which part", "Output", "Many runs")]
+    assert groups == sorted(groups)
+    assert page.partition("Example: ")[2].splitlines()[0] == "fit-friction run.h5"
+    assert not any(flag in page for flag in ("--datum", "--alpha", "--damping-sd"))
+
+
+@pytest.mark.parametrize(("laws", "colour"), [(0, "31"), (1, "32"), (2, "33"), (3, "33")])
+def test_the_verdict_has_a_colour_on_a_terminal_alone(monkeypatch, laws, colour):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert application.verdict("law 5.", laws) == "verdict: law 5."
+    screen = io.StringIO()
+    screen.isatty = lambda: True
+    monkeypatch.setattr(sys, "stdout", screen)
+    application._print_text(application.verdict("law 5.", laws))
+    assert screen.getvalue() == f"\x1b[1;{colour}mverdict: law 5.\x1b[0m\n"
