@@ -125,14 +125,6 @@ def test_linear_friction_that_falls_fast_ends_where_its_force_would_change_sign(
     assert abs(float(expected) - t) <= 4e-15
 
 
-@pytest.mark.parametrize("law", [3, 4])
-@pytest.mark.parametrize("G_slip", [2.0, 1.0])
-def test_force_reversal_of_the_linear_curve_has_an_advice(law, G_slip):
-    found = list_events(flow_of(law, G_slip=G_slip), 0.9, 0.5, 100.0)
-    assert found.outcome == "force reversal"
-    assert "G_slip" in found.advice
-
-
 def test_a_swing_at_resonance_grows_as_the_closed_form_until_the_force_reverses():
     # without stick by u0/2 a unit of time: x = 1 - G v/k + (u0/2) t sin t - ...
     free = flow_of(3, c=0.05, u0=2.0, omega=1.0, v_belt=8.0, G_slip=0.05)
