@@ -470,28 +470,6 @@ def test_a_signal_that_comes_when_the_recording_is_over_takes_no_result(tmp_path
     assert json.loads(capsys.readouterr().out)["samples"] == 100
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "said"),
-    [
-        (["--port", "/dev/ttyNONE7"], 3, "/dev/ttyNONE7: no such port"),
-        (["--rate", "0"], 2, "--rate"),
-        (["--port", "/dev/ttyS0", "--realtime"], 2, "--realtime"),
-        (["--output", "nowhere/run.h5"], 2, "folder"),
-    ],
-)
-def test_bad_requests_end_in_one_line_and_touch_nothing(tmp_path, monkeypatch, capsys, arguments, code, said):
-    from daq.cli.app import app
-    from stickslip.console import application
-
-    monkeypatch.chdir(tmp_path)
-    assert application.run(app, ["record", *arguments]) == code
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    assert said in err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tmp_path):
     # It used to be waited for, and the port opened anew.
     output = tmp_path / "run.h5"

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from fitting.model import path
 from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP, Drag
 from fitting.model.path import Curve, FrictionSpline, follow, positions, spline_curve
-from fitting.model.tangents import local_tangents, shared_tangents, spline_tangents, tangents
+from fitting.model.tangents import local_tangents, shared_tangents, tangents
 from fitting.model.unknowns import Global, PerCycle
 from fitting.model.windows import ShootingWindows
 
@@ -184,22 +184,6 @@ def test_a_spline_that_is_a_line_moves_as_the_linear_law(one_window, ramp, compl
 def slope(model, h=1e-5):
     """Return the central difference of ``model(h)`` at 0."""
     return (model(h) - model(-h)) / (2 * h)
-
-
-@pytest.mark.parametrize("ramp", [False, True])
-def test_tangents_of_spline_coefficients_are_differences(one_window, ramp):
-    curve = spline_curve(spline_of(lambda s: F / (1 + 9.6 * s)), ramp)
-    u, windows = unknowns(d=0.02, fade=0.01, compliance=0.03), one_window()
-    given = curve.spline.coefficients
-    found = spline_tangents(follow(windows, curve, u, SLIP), np.eye(given.size))
-
-    def moved(step):
-        return follow(windows, replace(curve, spline=curve.spline.with_coefficients(given + step)), u, SLIP).model
-
-    for j, along in enumerate(np.eye(given.size)):
-        size = np.abs(found[:, j]).max()
-        assert size > 1e-7  # m per m/s^2
-        assert found[:, j] == pytest.approx(slope(lambda h, along=along: moved(h * along)), abs=1e-3 * size)
 
 
 def test_tangents_of_the_fade_are_differences(one_window):
