@@ -31,7 +31,9 @@ def seen_by_camera(belt_rig, tmp_path_factory):
     return of
 
 
-@pytest.mark.parametrize(("power", "named"), [(1.0, "stribeck"), (2.0, "stribeck-gaussian")])
+@pytest.mark.parametrize(
+    ("power", "named"), [(1.0, "stribeck"), pytest.param(2.0, "stribeck-gaussian", marks=pytest.mark.slow)]
+)
 def test_a_stribeck_contact_is_not_one_of_the_six_alone(seen_by_camera, power, named):
     # It was "law 5, adequate" alone, with exit code 0.
     ranking = seen_by_camera(5e-5, 3, power=power)
