@@ -267,6 +267,8 @@ REFUSED = [
     ("process smooth run.h5 --from 5 --to 2", "from 5 to 2 s", "the run lasts", "--from and --to"),
     ("process export run.h5", "nothing to write", "--csv FILE"),
     ("process export run.h5 --csv out.xlsx", "out.xlsx", "spreadsheet", "out.csv"),
+    ("process export run.h5 --csv new.h5", "this is a CSV table"),  # a table was written into it
+    ("process compare foreign.h5", "foreign.h5: is HDF5 but not a run file"),
     ("process export run.h5 --csv run.h5 --force", "run.h5", "own source"),
     ("process inspect run.h5 --plot out.bmp", "out.bmp", ".png"),
     ("process inspect run.h5 --plot run.h5 --force", "run.h5", "own source"),
