@@ -1,5 +1,7 @@
 """Landings, unstable orbits and locking of the driven mass: against its events and the figures of the thesis."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,11 @@ def test_the_search_of_the_thesis_needs_far_more_than_its_budget() -> None:
     assert found.change is not None
     assert found.change > 0.1 * 0.2
     assert not found.stays
+
+
+def test_the_control_is_drawn(tmp_path: Path) -> None:
+    answer("lock forced --period 2 --budget 0.0235 --plot", tmp_path / "lock.png")
+    assert (tmp_path / "lock.png").stat().st_size > 20_000
 
 
 def test_a_motion_under_control_is_sampled_to_its_landings() -> None:
