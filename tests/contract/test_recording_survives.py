@@ -98,35 +98,6 @@ def test_signals_that_were_ignored_at_the_start_stay_ignored(board, tmp_path):
     assert_whole(output, 3000)
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
-def test_a_signal_ends_the_run_with_its_file(board, tmp_path, number):
-    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
-    recorder = start(record_line(board, output, 60), part)
-    recorder.send_signal(number)
-    if number == signal.SIGHUP:
-        time.sleep(0.05)
-        recorder.send_signal(number)  # a terminal that closes sends it, and so does its shell
-    code, out, err = finish(recorder)
-    answer = json.loads(out)
-    assert (code, answer["ended"]) == (4, number.name), err
-    assert any(number.name in warning for warning in answer["warnings"])
-    assert not part.exists()
-    assert_whole(output, answer["samples"])
-
-
-def test_a_run_file_that_appears_meanwhile_leaves_the_journal_and_says_so(board, tmp_path):
-    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
-    recorder = start(record_line(board, output, 2), part)
-    output.write_bytes(b"somebody's")
-    code, out, err = finish(recorder)
-    assert code == 2, err
-    assert str(part) in json.loads(out)["error"]["what"]
-    assert output.read_bytes() == b"somebody's"
-    found = run("recover", part, "-o", tmp_path / "mine.h5")
-    assert found.returncode == 0, found.stderr
-    assert_whole(tmp_path / "mine.h5", 2000)
-
-
 def test_a_port_that_stays_away_is_reported_at_once_and_ends_in_exit_4(board, tmp_path):
     # 3.9 of 8 s used to be a healthy run, after 30 s without a word.
     output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"

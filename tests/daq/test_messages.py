@@ -11,13 +11,7 @@ TIME = np.arange(1000) / 500
 X = 0.01 * np.sin(6 * TIME)
 # A mistake in Python, and the call that the message names.
 MISTAKES = [
-    (lambda: daq.Recording.from_arrays(TIME, X[1:]), "give one each"),
-    (lambda: daq.Recording.from_arrays(TIME, np.c_[X, X]), "give one dimension, as in position[:, 0]"),
-    (lambda: daq.Recording.from_arrays(TIME, X, mass="500g."), "mass: 'g.' is not a unit of mass"),
     (lambda: daq.Recording.from_arrays(TIME, X, belt_speed="5 cm"), "belt_speed: 'cm' is not a unit of speed"),
-    (lambda: daq.Recording.from_arrays(TIME, X, metres_per_count=1e-6), "or omit metres_per_count"),
-    (lambda: daq.Recording.from_arrays(np.arange("2024-01-01", "2024-01-03", dtype="M8[D]"), [0, 1]), "(t - t[0])"),
-    (lambda: daq.Recording.from_arrays(TIME, X).save("run.csv"), "CSV"),
     (lambda: daq.load("table.csv", unit="mm"), "did you mean 'x_unit'?"),
     (lambda: daq.load("table.csv", x_unit="mm/s"), "x_unit: 'mm/s' is not a unit of length"),
     (lambda: daq.load("table.csv", positon=2), "did you mean 'position'?"),
@@ -25,12 +19,10 @@ MISTAKES = [
     (lambda: daq.load("pixels.csv"), "x_unit='0.25 mm', a pixel?"),
     (lambda: daq.load("run.h5", mass=0.3), "arguments of fitting.rank"),
     (lambda: daq.record((TIME, X), "new.h5", rate_hz=500), "daq.Recording.from_arrays(t, x).save(path)"),
-    (lambda: daq.record([(TIME, X)], "new.h5", rate_hz=1000), "give rate_hz=500, or the times in s"),
     (lambda: daq.record([(TIME, X)], "run.h5", rate_hz=500), "or force=True to replace it"),
     (lambda: daq.record("/dev/ttyNONE", "new.h5", rate_hz=1000), "no such port; connect the board"),
     (lambda: daq.record("rig://rig", "new.h5", rate_hz=0), "give rate_hz=1 or more"),
     (lambda: daq.recover("run.h5"), "is not a journal; give the RUN.h5.part"),
-    (lambda: processing.smooth(TIME), "processing.smooth(time, position)"),
     (lambda: processing.smooth(daq.load("run.h5"), X), "processing.smooth(run, method=...)"),
 ]
 

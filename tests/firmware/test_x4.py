@@ -12,7 +12,6 @@ from rig_sim.scenes.scene import scene
 
 from . import bench
 
-CYCLES_PER_US = 16
 LONGEST_INTERRUPT = {"uno": 50, "mega": 52}  # cycles with interrupts off, entry included: the latch
 
 

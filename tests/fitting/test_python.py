@@ -1,7 +1,5 @@
 """`fitting` from Python: arrays in, results out, the numbers of the command, and mistakes answered with what to do."""
 
-import ast
-import inspect
 import json
 import re
 import shutil
@@ -17,14 +15,12 @@ from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.report import page
 from stickslip.console import application
-from stickslip.errors import InputError, StickslipError, in_python
+from stickslip.errors import InputError, StickslipError
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone")
 ROOT = Path(__file__).resolve().parents[2]
 RUN = ROOT / "data_samples" / "law5.h5"
 MINE = "Fs/(1 + s/v_s)"
-ERRORS = ("InputError", "DataError")
-FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)")
 
 
 @pytest.fixture(scope="module")
@@ -243,27 +239,6 @@ def test_where_no_law_describes_the_record_tables_say_what_to_take(run):
 def test_positions_in_mm_are_asked_about(run, call):
     with pytest.warns(UserWarning, match="are the positions in m"):
         call(run.time, 1000 * run.position)
-
-
-def raised():
-    """Yield the place of each error of a fit, its texts, and whether it has another call for Python."""
-    for path in sorted((ROOT / "fitting").rglob("*.py")):
-        if path.stem in ("cli", "flags", "request", "batch", "stage", "comparison", "joint"):  # of the command alone
-            continue
-        for call in ast.walk(ast.parse(path.read_text())):
-            if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in ERRORS:
-                texts = [str(node.value) for node in ast.walk(call) if isinstance(node, ast.Constant)]
-                own = {keyword.arg for keyword in call.keywords}
-                yield f"{path.stem}:{call.lineno}", " ".join(texts), "python" in own
-
-
-def test_every_flag_that_an_error_names_is_a_keyword_or_has_another_call_beside_it():
-    keywords = {*inspect.signature(fitting.rank).parameters, "path", "force"}
-    found = list(raised())
-    assert len(found) > 80
-    flags = [(place, flag) for place, text, other in found if not other for flag in FLAG.findall(text)]
-    strange = [(place, flag) for place, flag in flags if in_python(f"--{flag}") not in keywords]
-    assert [each for each in strange if each[1] not in ("datum", "datum-sd", "ramp")] == []  # of the command alone
 
 
 # A mistake, and the words that say what to do.

@@ -3,8 +3,6 @@
 import csv
 import json
 
-import h5py
-import numpy as np
 import pytest
 from matplotlib.image import imread
 
@@ -88,20 +86,6 @@ def test_bad_flags_are_one_line_exit_2_and_nothing_is_written(typed, path, argum
     assert err.count("\n") == 1
     assert says in err
     assert path.read_bytes() == before
-
-
-@pytest.mark.parametrize("command", ["smooth", "compare", "inspect"])
-def test_what_is_no_run_is_refused_by_name(typed, tmp_path, command):
-    foreign = tmp_path / "foreign.h5"
-    with h5py.File(foreign, "w") as file:
-        file["x"] = np.arange(3)
-    code, out, err = typed(command, foreign)
-    assert (code, out) == (2, "")
-    assert "foreign.h5: is HDF5 but not a run file" in err
-    code, out, err = typed(command, tmp_path / "none.h5", "--json")
-    assert code == 2
-    assert json.loads(out)["error"]["what"] == "no such file"
-    assert list(tmp_path.iterdir()) == [foreign]
 
 
 def test_compare_states_true_errors_only_where_truth_was_recorded(typed, path, tmp_path, motion, run_data):
@@ -199,12 +183,3 @@ def test_export_writes_what_reads_back(typed, path, tmp_path):
     assert code == 2
     assert "exists" in err
     assert typed("export", path)[0] == 2
-
-
-def test_export_refuses_a_table_named_like_a_run(typed, path, tmp_path):
-    """A table was written into motion.h5."""
-    target = tmp_path / "motion.h5"
-    code, _, err = typed("export", path, "--csv", target)
-    assert code == 2
-    assert "this is a CSV table" in err
-    assert not target.exists()

@@ -45,18 +45,6 @@ def test_savitzky_golay_in_blocks_is_that_of_the_whole(path, small_blocks):
     assert found.velocity_errors == pytest.approx(whole.velocity_errors, rel=0.02)
 
 
-def test_the_smoothers_agree_within_their_errors_and_find_the_same_sticks(path, small_blocks):
-    whole = smooth(daq.load(path))
-    summary = smoothing.smooth_file(path)
-    found = stage.load(path)
-    assert summary.method == whole.method == "segment"
-    assert (len(summary.sticks), len(summary.slips)) == (len(whole.sticks), len(whole.slips))
-    assert np.abs([a.start - b.start for a, b in zip(summary.sticks, whole.sticks, strict=True)]).max() < 2e-3
-    apart = np.abs(found.velocity - whole.velocity) / (found.velocity_errors + whole.velocity_errors)
-    assert np.mean(apart < 2) > 0.99
-    assert summary.belt_speed == pytest.approx(0.22, abs=1e-4)
-
-
 def test_a_long_record_in_memory_is_smoothed_in_the_blocks_of_a_file(path, small_blocks, monkeypatch):
     """In one block, half an hour at 1 kHz took 0.85 GB."""
     monkeypatch.setattr(smoothing, "LARGE", 10_000)

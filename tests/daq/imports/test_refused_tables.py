@@ -98,6 +98,7 @@ TEXTS = [
     (TWO, {"xunit": "cm"}, ["no option 'xunit' of a table; did you mean 'x_unit'?"]),
     (TWO, {"mass": "heavy"}, ["'heavy' is not a valid mass; write it like '300 g'"]),
     (TWO, {"spring_force": "F", "position": "x"}, ["excludes --position"]),
+    ("t (s),F (N)\n0,1\n1,2\n", {"spring_force": "F"}, ["spring_force without the spring's stiffness"]),
     (TWO, {"force_unit": "N"}, ["without --spring-force"]),
     (TWO, {"clock": True, "t_unit": "s"}, ["exclude each other"]),
     (TWO, {"preamble": -1}, ["--preamble"]),

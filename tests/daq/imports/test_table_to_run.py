@@ -391,19 +391,6 @@ def test_a_unit_that_cannot_be_right_is_asked_for(csv, t_size, x_size, question,
     assert table_to_run.read(csv, options(x_unit="m", t_unit="s")).run.time[-1] == pytest.approx(t_size * time[-1])
 
 
-def test_the_force_of_a_pulled_spring_is_its_stretch(csv, app, capsys):
-    time, x = sawtooth(400)
-    make(csv, "t (s),F (mN)\n", zip(time, 1e3 * 168 * x, strict=True))
-    line = ["import", str(csv), "-o", str(csv.with_name("run.h5")), "--spring-force", "F", "--json"]
-    assert application.run(app, line) == 2
-    assert "--stiffness" in json.loads(capsys.readouterr().out)["error"]["do"]
-    assert application.run(app, [*line, "--stiffness", "168 +- 2", "--belt", "42 um/s"]) == 0
-    assert json.loads(capsys.readouterr().out)["warnings"] == []
-    run = store.load(csv.with_name("run.h5"))
-    np.testing.assert_allclose(run.position, x, atol=1e-6)
-    assert (run.rig.stiffness, run.rig.belt_speed) == (Measured(168, 2), Measured(pytest.approx(42e-6)))
-
-
 def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv):
     time, x = sawtooth(400)
     make(csv, "t,Fnorm\n", zip(time, x, strict=True))

@@ -208,21 +208,6 @@ def test_a_viewer_that_is_killed_leaves_the_recording_alone(tmp_path):
     assert (process.returncode, found["samples"], found["lost"], found["ended"]) == (0, 6000, 0, "complete")
 
 
-def test_a_stretch_of_the_past_is_read_again_from_the_journal(viewer):
-    viewer.grow(0.9)
-    viewer.events(0, 2)
-    status, answer = viewer.ask("GET", viewer.address.path + "stretch?from=1.0&to=1.5")
-    found = json.loads(answer)
-    run = store.load(viewer.part.with_name("run.h5"))
-    within = (run.time >= 1.0) & (run.time <= 1.5)
-    assert status == 200
-    np.testing.assert_allclose(found["t"], run.time[within], atol=1e-6)
-    np.testing.assert_allclose(found["x"], run.position[within], rtol=1e-6)
-    assert found["exact"]
-    empty = json.loads(viewer.ask("GET", viewer.address.path + "stretch?from=70&to=80")[1])
-    assert empty["t"] == []
-
-
 def test_a_journal_that_vanishes_or_is_replaced_ends_the_view_with_a_reason(viewer):
     viewer.grow(0.5)
     viewer.part.rename(viewer.part.with_name("elsewhere.h5.part"))

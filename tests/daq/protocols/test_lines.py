@@ -17,8 +17,6 @@ from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan, decode_whole
 from stickslip.errors import DeviceError, InputError
 
-RATE = 500
-
 
 def motion(k):
     return np.floor(20_000 * np.sin(np.asarray(k) * 0.005)).astype(np.int64)

@@ -1,10 +1,10 @@
 """Run files and journals of the first release load, recover, smooth and fit with the numbers it gave, or nearly."""
 
+import contextlib
 import gzip
+import io
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -16,8 +16,10 @@ import pytest
 import daq
 import fitting
 import processing
+from daq.cli.app import app
 from daq.runfile import store
 from processing import stage
+from stickslip.console import application
 
 FIXTURES = Path(__file__).with_name("fixtures")
 NUMBERS = json.loads((FIXTURES / "numbers.json").read_text())
@@ -32,9 +34,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("clean.h5.part", "damaged.h5.part", "damaged.h5.markers"):
         shutil.copy(FIXTURES / name, folder / name)
     for name in ("clean", "damaged"):
-        command = [sys.executable, "-m", "daq.cli.app", "recover", f"{name}.h5.part", "--json"]
-        done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-        (folder / f"{name}.json").write_text(done.stdout)
+        with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()) as said:
+            assert application.run(app, ["recover", f"{name}.h5.part", "--json"]) == 0
+        (folder / f"{name}.json").write_text(said.getvalue())
     return folder
 
 

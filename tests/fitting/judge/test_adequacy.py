@@ -96,6 +96,7 @@ def test_the_smallest_visible_departure_is_seen_in_about_half_of_all_records(for
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 @pytest.mark.parametrize("lost", [False, True])
 def test_friction_that_fluctuates_is_told_from_what_repeats_and_measured_by_the_spring(belt_rig, lost):
     # The size was 0.07 % for 12 %: a share of a level at which the closest law, with a constant, had ended anywhere.

@@ -2,7 +2,6 @@
 
 import pytest
 
-from fitting import rank
 from fitting.judge.evidence import constant_friction_limit
 from processing.smoothing import smooth
 
@@ -31,45 +30,6 @@ def test_a_start_at_rest_is_seen_and_no_ripple_under_a_millimetre_of_noise(track
     run = cut(smooth(track(5, 1e-3)))
     assert run.cut.starts_at_rest
     assert run.ripple is None
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("asked_law_alone")
-@pytest.mark.parametrize("law", [2, 4])
-def test_a_ramp_is_found_under_0_2_mm_of_noise(track, law):
-    # A true law 2 was law 1 alone six times of six, a true law 4 law 5 alone, with a belt speed off by 100 errors.
-    found = rank(smooth(track(law, 2e-4)), laws=(1, 2) if law == 2 else (3, 4, 5))
-    assert law in found.laws_in_set
-    speed = found.row(law).parameters["v_dr"]
-    assert speed.lo <= 0.22 <= speed.hi
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", [2, 4, 5])
-def test_a_millimetre_of_noise_leaves_the_truth_in_the_set_without_a_false_alarm(track, law):
-    # A true law 5 was law 3 alone with Fs 40 % off; "no law fits well" was said of 17 of 17.
-    found = rank(smooth(track(law, 1e-3)))
-    assert law in found.laws_in_set
-    assert not any("no law fits well" in warning for warning in found.warnings)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("asked_law_alone")
-@pytest.mark.parametrize("seed", [1, 4])
-def test_intervals_under_a_millimetre_of_noise_contain_the_truth(track, seed):
-    # Slips that began up to 54 mm/s faster than the belt held the search in local minima: Fs was 4.5 and 3 standard
-    # errors off, gamma 2.9 and 2.4.
-    row = next(row for row in rank(smooth(track(5, 1e-3, seed)), laws=(5,)).rows if row.law == 5)
-    for name, true in {"Fs/m": 35.184 * 0.13068, "gamma": 9.618, "k/m": 35.184, "v_dr": 0.22}.items():
-        assert row.parameters[name].lo <= true <= row.parameters[name].hi
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("law", "noise"), [(2, 2e-4), (3, 1e-3)])
-def test_printed_decimals_do_not_change_the_set(track, law, noise):
-    sets = [set(rank(smooth(track(law, noise, decimals=decimals))).laws_in_set) for decimals in (4, 6)]
-    # Under a millimetre of noise the widest ramp that law 4 may have is 0.009 to 0.09 m/s: it may join or not.
-    assert sets[0] ^ sets[1] <= ({4} if law == 3 else set())
 
 
 def test_constant_friction_is_judged_by_noise_where_noise_hides_the_step(track):

@@ -16,8 +16,8 @@ from stickslip.errors import InputError
 
 
 @pytest.fixture(scope="module")
-def ranking(belt_rig):
-    return rank(smooth(belt_rig.recording(law=5, rate=200, duration=12.0)), laws=5)
+def ranking(ranked_alone):
+    return ranked_alone(5, law=5, rate=200)
 
 
 def by_scipy(fit, held):
@@ -82,6 +82,7 @@ def test_a_profile_of_a_nearly_linear_unknown_is_the_square_of_the_distance_in_s
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 def test_the_spread_of_drawn_cycles_is_that_of_the_sandwich_covariance(belt_rig):
     """Damping is held: at its bound of 0 one half of all draws would have the same."""
     motion = smooth(belt_rig.recording(law=5, rate=200, duration=80.0))
@@ -114,6 +115,7 @@ def test_what_has_no_profile_is_refused(ranking, name, words):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("asked_law_alone")
 def test_draws_have_the_error_of_a_rest_position_that_constant_friction_hides(belt_rig):
     """The fit holds it, so that draws left x0 where it was, and the ramp with it."""
     scene = {"law": 2, "rate": 200, "duration": 20.0}

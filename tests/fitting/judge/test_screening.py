@@ -147,6 +147,7 @@ def test_a_belt_that_stands_for_most_of_the_record_leaves_the_law_as_it_is(belt_
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_rivals")
 def test_a_slip_in_which_the_belt_stood_is_left_out(belt_rig):
     run = belt_rig.recording(law=5, seed=4, duration=12.0)
     x = run.position

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from fitting.model import path
 from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP, Drag
 from fitting.model.path import Curve, FrictionSpline, follow, positions, spline_curve
-from fitting.model.tangents import local_tangents, shared_tangents, spline_tangents, tangents
+from fitting.model.tangents import local_tangents, shared_tangents, tangents
 from fitting.model.unknowns import Global, PerCycle
 from fitting.model.windows import ShootingWindows
 
@@ -79,11 +79,6 @@ def test_positions_alone_are_those_of_the_path(one_window, case, rate):
     assert found == pytest.approx(path.model, abs=5e-8)
 
 
-def test_a_search_errs_by_less_than_a_micron(one_window):
-    arguments = followed(one_window)
-    assert positions(*arguments, longest_step=SEARCH_STEP) == pytest.approx(follow(*arguments).model, abs=1e-6)
-
-
 @pytest.mark.parametrize("stick", [0, 1])
 def test_a_steep_ramp_takes_few_steps(one_window, stick):
     """A ramp of 1 mm/s took 47 steps a sample, and a record whose law had one 80 s."""
@@ -109,23 +104,6 @@ def start(x, v, stick=False, level=1.0, following=1.0):
 
 def undamped(windows, local, curve=CONSTANT, ramp=False, **changes):
     return positions(windows, Curve(curve, ramp), unknowns(**{"damping": 0.0} | changes), local)
-
-
-def test_constant_slip_is_a_sine_about_its_level(one_window):
-    windows = one_window(seconds=0.6, rate=167.0, earliest_landing=9.0)
-    x = undamped(windows, start(0.1, 0.1, level=1.1), datum=0.002)
-    centre, omega, t = 0.002 + 1.1 * F / K, K**0.5, windows.time - 2.0
-    exact = centre + (0.1 - centre) * np.cos(omega * t) + 0.1 / omega * np.sin(omega * t)
-    velocity = -omega * (0.1 - centre) * np.sin(omega * t) + 0.1 * np.cos(omega * t)
-    before_landing = np.maximum.accumulate(velocity) < V
-    assert before_landing.sum() > 10
-    assert x[before_landing] == pytest.approx(exact[before_landing], abs=2e-8)
-
-
-def test_a_jumps_stick_is_a_straight_line_whatever_the_load(one_window):
-    windows = one_window(stick=1, seconds=1.5, rate=25.0)
-    x = undamped(windows, start(-0.1, 0.3, stick=True))
-    assert x == pytest.approx(-0.1 + V * (windows.time - 2.0), abs=1e-12)
 
 
 def test_a_ramps_stick_creeps_as_far_as_the_load_goes(one_window):
@@ -169,17 +147,6 @@ def test_fading_lowers_the_level_as_a_smaller_level_would(one_window):
     assert worn == pytest.approx(np.array(motion)[::1000], abs=6e-6)  # at four times the nominal wear
 
 
-@pytest.mark.parametrize("stick", [0, 1])
-def test_a_linear_jump_on_a_compliant_belt_is_the_ramp_law_of_the_flows_table(one_window, stick):
-    windows = one_window(stick=stick, seconds=0.6 if stick else 1.0, rate=160.0, earliest_landing=2.3)
-    first = start(-0.05, 0.219, stick=True) if stick else start(0.128, 0.1, level=1.05, following=0.97)
-    slope, droop = 0.435, 0.004  # G_slip/Fs (s/m), m/s
-    compliant = undamped(windows, first, LINEAR, shape=slope, compliance=droop * K / F)
-    ramp = undamped(windows, first, LINEAR, ramp=True, shape=slope / (1 - droop * slope), d=droop)
-    assert compliant == pytest.approx(ramp, abs=2e-8)
-    assert np.abs(compliant - undamped(windows, first, LINEAR, shape=slope)).max() > 1e-4
-
-
 def test_some_cycles_are_predicted_as_among_all(one_window):
     parts = [one_window(seconds=0.5, rate=100.0), one_window(stick=1, seconds=0.4, rate=100.0), one_window(rate=26.0)]
     windows = ShootingWindows.join(parts)
@@ -217,22 +184,6 @@ def test_a_spline_that_is_a_line_moves_as_the_linear_law(one_window, ramp, compl
 def slope(model, h=1e-5):
     """Return the central difference of ``model(h)`` at 0."""
     return (model(h) - model(-h)) / (2 * h)
-
-
-@pytest.mark.parametrize("ramp", [False, True])
-def test_tangents_of_spline_coefficients_are_differences(one_window, ramp):
-    curve = spline_curve(spline_of(lambda s: F / (1 + 9.6 * s)), ramp)
-    u, windows = unknowns(d=0.02, fade=0.01, compliance=0.03), one_window()
-    given = curve.spline.coefficients
-    found = spline_tangents(follow(windows, curve, u, SLIP), np.eye(given.size))
-
-    def moved(step):
-        return follow(windows, replace(curve, spline=curve.spline.with_coefficients(given + step)), u, SLIP).model
-
-    for j, along in enumerate(np.eye(given.size)):
-        size = np.abs(found[:, j]).max()
-        assert size > 1e-7  # m per m/s^2
-        assert found[:, j] == pytest.approx(slope(lambda h, along=along: moved(h * along)), abs=1e-3 * size)
 
 
 def test_tangents_of_the_fade_are_differences(one_window):

@@ -44,12 +44,6 @@ def test_a_published_curve_is_found_from_rest_on(name, true):
     assert found.misfit < 1e-2
 
 
-def test_values_stay_within_their_bounds():
-    law = Law("mine", "Fc + (Fs - Fc)*exp(-s/v_s)", bounds={"Fs": (0.0, 4.0), "v_s": (0.0, None), "Fc": (0.0, None)})
-    found = find_starts(law, of(PUBLISHED["stribeck"], TRUE["stribeck"]))[0].values
-    assert 0 <= found["Fs"] <= 4.0
-
-
 def test_a_parameter_that_bends_the_curve_only_beside_others_is_seen_to():
     """With equal first values of Fs and Fc the speed v_s seemed to act not, and was taken for a linear parameter."""
     bends = StartSearch(PUBLISHED["stribeck"], of(PUBLISHED["stribeck"], TRUE["stribeck"])).bends

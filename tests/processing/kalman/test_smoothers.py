@@ -12,7 +12,7 @@ from processing.methods import registry
 from processing.record import series
 from processing.record.setting import Setting
 from processing.stick_slip import noise as landing_snap
-from processing.stick_slip.corners import KERNELS, SwitchingTimes
+from processing.stick_slip.corners import KERNELS
 from stickslip.compute.compile import compiled
 from stickslip.errors import InputError
 
@@ -141,41 +141,6 @@ def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, re
     assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]
 
 
-def test_the_mean_snap_before_landings_is_learned_from_many(imported):
-    unit, rng, means = 0.689, np.random.default_rng(7), np.array([3e4, 8e3, 2e3, 200.0])
-
-    def approach(t):
-        """Return x at times before a landing at 0, with 0.22 m/s and 9.5 m/s^2 there, and on the belt behind it."""
-        x, v, a, j, begun, found = 0.0, 0.22, 9.5, 400.0, 0.0, 0.22 * t
-        for edge, u in zip((*stick_slip.NEAR_LANDING, 1.0), (*means, 0.0), strict=True):
-            h = t - begun
-            found = np.where(h < 0, x + h * (v + h / 2 * (a + h / 3 * (j + h / 4 * u))), found)
-            h = -unit * edge - begun
-            x, v, a, j, begun = (
-                x + h * (v + h / 2 * (a + h / 3 * (j + h / 4 * u))),
-                v + h * (a + h / 2 * (j + h / 3 * u)),
-                a + h * (j + h / 2 * u),
-                j + h * u,
-                -unit * edge,
-            )
-        return found
-
-    at = np.arange(40) + rng.uniform(0, 1e-3, 40)
-    grid = [np.arange(-0.25, 0.06, 1e-3) + k for k in range(40)]
-    each = [(own, approach(own - landing)) for own, landing in zip(grid, at, strict=True)]
-    time, position = (np.concatenate([own[i] for own in each]) for i in (0, 1))
-    data = series.from_recording(imported(time, position + 1e-7 * rng.standard_normal(time.size)))
-    kind = np.full(40, stick_slip.LAND, np.uint8)
-    times = SwitchingTimes(at, np.full(40, 5e-5), kind, (stick_slip.SLIP,) * 40, unit)
-    q = np.full(stick_slip.LABELS, 1e-3)
-    q[stick_slip.LANDING : stick_slip.LANDING + 4] = (1e6, 1e5, 1e4, 1e3)
-    levels = stick_slip.NoiseLevels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(stick_slip.JUMPS), 9.5)
-    found = landing_snap.learn_mean_snap(data, times, levels).mean_snap[stick_slip.LANDING : stick_slip.LANDING + 4]
-    assert found == pytest.approx(means, rel=0.1)
-    alone = replace(times, time=times.time[:1], sd=times.sd[:1], kind=kind[:1])
-    assert landing_snap.learn_mean_snap(data, alone, levels) is levels
-
-
 @pytest.mark.parametrize("kernel", ["jerk", pytest.param("snap", marks=pytest.mark.slow)])
 def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
     data = series.from_recording(recorded(motion(5, 0.3, start=0.1)))
@@ -224,15 +189,6 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
     assert outcomes[1] == pytest.approx(outcomes[0], rel=1e-9)
 
 
-def test_the_smoother_does_not_depend_on_its_blocks(motion, recorded):
-    data = series.from_recording(recorded(motion(5, 6.0)))
-    noise = white_jerk.Noise(100.0, 5e-12)
-    found = np.empty((2, 6, data.time.size))
-    for motion_found, block in zip(found, (512, 100_000), strict=True):
-        white_jerk.smooth_piece(data.time, data.position, noise, block, 400, motion_found)
-    assert np.abs(found[0] - found[1])[1, 20:].max() < 1e-12
-
-
 def test_noise_levels_are_those_that_were_put_in(imported):
     rng = np.random.default_rng(6)
     h, q, r = 1e-3, 50.0, (3e-5) ** 2
@@ -255,14 +211,6 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
     assert noise.reading == pytest.approx((50e-6) ** 2 / 12, rel=0.5)
     found = registry.estimate(method, data, Setting())
     assert velocity_error(found, true.v)[0] < 1.0
-
-
-def test_noise_levels_of_a_record_are_fitted_once(motion, recorded):
-    # The first motion, the search for plateaus and the bridge across faults fitted them three times.
-    data, other = (series.from_recording(recorded(motion(5, 3.0, seed=seed))) for seed in (1, 2))
-    noise = white_jerk.fit(data)
-    assert white_jerk.fit(data) is noise
-    assert white_jerk.fit(other) != noise
 
 
 @pytest.mark.parametrize("method", ["rts", "segment"])

@@ -94,7 +94,7 @@ def test_an_order_that_the_window_cannot_carry_is_refused(order):
         coefficients(5, order)
 
 
-@pytest.mark.parametrize(("window", "order"), [(1, 0), (5, 2), (7, 0), (41, 4), (301, 7), (1001, 4), (3001, 4)])
+@pytest.mark.parametrize(("window", "order"), [(1, 0), (5, 2), (7, 0), (41, 4), (301, 7), (1001, 4)])
 @pytest.mark.parametrize("extra", [0, 1, 5000])
 def test_every_sample_gets_the_polynomial_of_its_own_window(window, order, extra):
     """Weights in 50 digits applied to whole numbers of counts: only the sum is rounded."""

@@ -43,13 +43,6 @@ def test_velocity_errors_are_the_published_ones_or_smaller(
     assert error[1] < largest
 
 
-def test_smoothing_is_ten_times_better_than_differences_on_the_same_times(motion, recorded):
-    true = motion(5, 60.0)
-    data = series.from_recording(recorded(true))
-    rough, smooth = (velocity_error(registry.estimate(name, data, Setting()), true)[0] for name in ("fd", "sg"))
-    assert rough > 10 * smooth
-
-
 @pytest.mark.parametrize(("pitch", "setting"), [(7.67e-6, Setting()), (7.67e-6, Setting(41, 4)), (50e-6, Setting())])
 def test_two_standard_errors_cover_the_truth(motion, recorded, pitch, setting):
     true = motion(5, 60.0)

@@ -1,8 +1,5 @@
 """Effects: each is there when the scene names it, alone, the same again from the same seed, and nothing when absent."""
 
-import json
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -138,54 +135,6 @@ def test_an_effect_of_no_size_is_no_effect(changes: dict[str, object]) -> None:
 def test_effects_draw_from_streams_of_their_own() -> None:
     both, losing = (record(SimulatedBoard(scene("rig", **LOSSES, **also)), 10_000) for also in (GAPS, {}))
     np.testing.assert_array_equal(both.up, losing.up[both.seq])
-
-
-IMPORTED = """
-import json, os, sys
-from rig_sim.board.board import SimulatedBoard
-from rig_sim.scenes.scene import scene
-path, cases = json.loads(sys.argv[1])
-optional = {
-    "board": ("belt_encoder", "gaps", "jitter", "slip_loss"),
-    "effects": ("joint", "ripple", "scatter", "shaker", "wear"),
-}
-for changes in cases:
-    if os.fork() == 0:  # which imports for itself
-        board = SimulatedBoard(scene(path, **changes))
-        board.write(b"S\\n")
-        board.samples(3000)
-        names = [name for folder in optional for name in optional[folder] if f"rig_sim.{folder}.{name}" in sys.modules]
-        print(json.dumps(sorted(names)), flush=True)
-        os._exit(0)
-    assert os.wait()[1] == 0
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="a process is forked for each scene")
-def test_only_the_effects_a_scene_names_are_imported(tmp_path: Path) -> None:
-    cases: list[tuple[dict[str, object], list[str]]] = [
-        ({}, []),
-        (LOSSES, ["slip_loss"]),
-        (GAPS, ["gaps"]),
-        ({"belt.ripple": 0.004, "belt.ripple_hz": 3.0}, ["ripple"]),
-        ({"jitter.rms": 1e-5}, ["jitter"]),
-        ({"shaker.a": 0.3, "shaker.phi": 2.8}, ["shaker"]),
-        ({"belt.channel": True}, ["belt_encoder"]),
-        ({"droop.fraction": 0.01}, []),  # part of the equation of motion
-        ({"wear.rate": 0.01, "scatter.Fs": 0.03, "joint.kick": 0.01, **GAPS}, ["gaps"]),  # of the player, but gaps
-    ]
-    kept = ("mass", "spring", "belt", "friction", "encoder")
-    whole = scene("rig").model_dump(exclude_none=True)
-    path = tmp_path / "bare.toml"
-    path.write_text(
-        "\n".join(
-            f"[{section}]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in whole[section].items())
-            for section in kept
-        )
-    )
-    request = json.dumps([str(path), [changes for changes, _ in cases]])
-    done = subprocess.run([sys.executable, "-c", IMPORTED, request], capture_output=True, text=True, check=True)
-    assert [json.loads(line) for line in done.stdout.splitlines()] == [modules for _, modules in cases]
 
 
 def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) -> None:

@@ -206,33 +206,6 @@ def test_the_example_of_the_docstring_is_true(name):
     assert failed == 0
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_help_and_signature_say_what_a_caller_needs(name):
-    given = getattr(rig_sim, name)
-    said = inspect.getdoc(given)
-    for section in ("Parameters", "Returns", "Raises", "Examples"):
-        assert f"{section}\n---" in said, f"{name} lacks {section}"
-    for parameter, found in inspect.signature(given).parameters.items():
-        assert found.annotation is not inspect.Parameter.empty
-        assert parameter in said.replace("**changes", "changes"), f"{name}: {parameter}"
-
-
-def test_flags_of_the_commands_are_keywords_of_the_functions():
-    elsewhere = {"set", "json", "plot", "force", "output", "help", "version", "d"}
-    for name in FUNCTIONS:
-        if name == "scene":
-            continue
-        command = app[{"continue_": "continue", "fixed_point": "fixed-point"}.get(name, name)]
-        flags = {
-            flag.removeprefix("--").replace("-", "_")
-            for argument in command.assemble_argument_collection()
-            for flag in argument.names
-            if flag.startswith("--") and not flag.startswith("--no-")
-        }
-        keywords = set(inspect.signature(getattr(rig_sim, name)).parameters)
-        assert flags - elsewhere - {"verbose", "log"} <= keywords, name
-
-
 # Systems of one's own -------------------------------------------------------------------------------------------------
 
 

@@ -11,15 +11,13 @@ from scipy.optimize import brentq
 from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP
-from rig_sim.friction import contact
-from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.phases import State, next_event
 from rig_sim.integrate.work import new_work
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
 
-from ..shared import flow_of, sample_motion
+from ..shared import flow_of
 
 
 def load(law: int, w: float, droop: float, Fs: float = 1.0, G: float = 0.05, gamma: float = 3.0) -> float:
@@ -87,21 +85,6 @@ def test_one_slip_of_law_5_is_that_of_an_independent_solver(droop: float, drive:
     assert x_end == pytest.approx(expected.y_events[0][0][0], abs=1e-12)
 
 
-@pytest.mark.parametrize("law", [1, 3, 5])
-def test_a_long_run_is_that_of_an_independent_solver(law: int) -> None:
-    droop, belt = 0.025, 0.5
-    flow = flow_of(law, droop=droop, v_belt=belt, c=0.01)
-    times = [0.1 * i for i in range(301)]
-    x, v = sample_motion(flow, 0.0, 0.0, times)
-
-    def motion(t: float, y: np.ndarray) -> tuple[float, float]:
-        return y[1], load(law, y[1] - belt, droop) - 0.01 * y[1] - y[0]
-
-    expected = solve_ivp(motion, (0.0, 30.0), (0.0, 0.0), "LSODA", t_eval=times, rtol=1e-10, atol=1e-12, max_step=0.05)
-    np.testing.assert_allclose(x, expected.y[0], atol=2e-6)
-    np.testing.assert_allclose(v, expected.y[1], atol=2e-5)
-
-
 def test_in_stick_the_belt_carries_the_mass_at_the_speed_its_load_leaves() -> None:
     rig = scene("rig", **{"droop.fraction": 0.05, "scatter.Fs": 0})
     motion = ScenePlayer(rig)
@@ -112,21 +95,6 @@ def test_in_stick_the_belt_carries_the_mass_at_the_speed_its_load_leaves() -> No
     assert stuck.sum() > 1000
     np.testing.assert_allclose(v[stuck], 0.22 * (1 - 0.05 * path.F[stuck] / rig.friction.Fs), rtol=1e-12)
     assert v[stuck].max() > 0.22  # where the spring pushes the belt on
-
-
-def test_one_per_cent_of_droop_makes_law_5_look_like_law_6() -> None:
-    # Over the rig's slip speeds its force is that of a law 6 with a slightly other gamma, far below what scatter does.
-    droop, Fs, gamma = 0.01 * 0.22, 1.379353536, 9.618
-    w = -np.linspace(0.0, 1.0, 2001)
-    drooping = np.array([load(5, float(each), droop, Fs, gamma=gamma) for each in w])
-
-    def misses(other: float) -> float:
-        return float(np.abs(drooping - contact.force(LAWS[6], w, Fs=Fs, gamma=other, d=droop)).max())
-
-    best = min(misses(other) for other in np.linspace(9.2, 10.2, 101).tolist())
-    assert best < 0.002 * Fs
-    rigid = contact.force(LAWS[5], w[w > -droop][1:], Fs=Fs, gamma=gamma)
-    assert np.abs(drooping[w > -droop][1:] - rigid).max() > 0.5 * Fs
 
 
 def test_the_orbit_on_a_drooping_belt_is_exact() -> None:

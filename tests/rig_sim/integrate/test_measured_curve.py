@@ -7,8 +7,6 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from rig_sim.analyses.limit_cycles.branches import continuation
-from rig_sim.analyses.limit_cycles.fixed_point import fixed_point
-from rig_sim.analyses.limit_cycles.floquet import floquet
 from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.analyses.settling import find_attractors
 from rig_sim.comparison import reference
@@ -88,24 +86,6 @@ def test_two_points_and_equal_points_are_laws_3_and_1() -> None:
         found, known = cycle(flow(curve)), cycle(scene("base", **{"friction.law": law}).flow())
         assert found.outcome == known.outcome == outcome
         assert found.period == pytest.approx(known.period, rel=1e-14)
-
-
-def test_analyses_of_a_curve_through_the_hyperbola_come_near_those_of_law_5() -> None:
-    law = scene("damped", **{"belt.speed": 0.6}).flow()
-    curve = flow(HYPERBOLA, belt__speed=0.6, damper__c=0.45)
-    assert cycle(curve).period == pytest.approx(cycle(law).period, rel=1e-4)
-    assert fixed_point(curve).x == pytest.approx(fixed_point(law).x, rel=1e-3)
-    unstable, known = floquet(curve, "unstable"), floquet(law, "unstable")
-    assert unstable.multipliers[1] == pytest.approx(known.multipliers[1], rel=1e-2)
-
-    def over(curve_at: bool) -> list[tuple[str, float]]:
-        base = curve if curve_at else law
-        found = continuation(lambda c: base._replace(c=c), np.linspace(0.33, 0.6, 2))
-        return [(point.kind, point.value) for point in found.points]
-
-    (hopf, c_hopf), (fold, c_fold) = over(True)
-    assert (hopf, fold) == ("hopf", "fold")
-    assert [c_hopf, c_fold] == pytest.approx([value for _, value in over(False)], rel=1e-3)
 
 
 def test_stick_slip_that_ends_in_swings_without_stick_is_found_and_named() -> None:

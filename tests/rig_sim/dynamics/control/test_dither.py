@@ -103,10 +103,3 @@ def test_positions_are_those_of_the_linear_motion_where_the_mass_slides():
     swing = 0.4 / (1.0 - 9.0)
     expected = 1.0 + (0.2 - 1.0 - swing) * np.cos(times) + swing * np.cos(3.0 * times)
     assert sample_positions(flow, 0.2, 0.0, times) == pytest.approx(expected, abs=1e-12)
-
-
-def test_quench_draws_its_picture(tmp_path):
-    path = tmp_path / "quench.png"
-    found = answer("quench forced --set drive.omega=4 --set drive.u0=0.5 --plot", path)
-    assert found["file"] == str(path)
-    assert path.stat().st_size > 20_000

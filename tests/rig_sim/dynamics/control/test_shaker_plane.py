@@ -2,7 +2,6 @@
 
 import cmath
 import math
-from pathlib import Path
 from typing import Any
 
 import mpmath
@@ -13,7 +12,7 @@ from scipy.integrate import solve_ivp
 from rig_sim.analyses.control.phasor import phasor, phasor_roots, shaker_for
 from rig_sim.analyses.control.stability import ShakerPlane
 
-from ...shared import CHAPTERS, answer
+from ...shared import CHAPTERS
 
 THESIS = CHAPTERS["chapter6"]["phase_shift_control"]
 
@@ -113,14 +112,3 @@ def test_thesis_thresholds_and_best_phases() -> None:
     banded = ShakerPlane(1.0, 1.0, 0.3, (0.9, 1.1))
     widest = max(sum(high - low for low, high in banded.stable_phases(float(a))) for a in np.linspace(0.3, 2.0, 200))
     assert widest == pytest.approx(1.17, abs=0.02)
-
-
-def test_the_command_answers_and_draws(tmp_path: Path) -> None:
-    line = "shaker --m 1 --k 1 --c 0.1 --gamma 0.4 --a 0.5 --band 0.9:1.1"
-    found = answer(f"{line} --phi 3 --plot", tmp_path / "plane.png")
-    Omega = exact_roots(1.0, 1.0, 0.4 - 0.1, 0.5, 3.0)[0]
-    assert (found["omega"], found["delta"]) == pytest.approx((Omega.real, Omega.imag), abs=1e-12)
-    assert (found["stable"], found["in_band"]) == (True, True)
-    assert (tmp_path / "plane.png").stat().st_size > 10_000
-    outside = answer(f"{line} --phi 2")
-    assert (outside["stable"], outside["in_band"]) == (False, False)

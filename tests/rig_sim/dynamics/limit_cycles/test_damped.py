@@ -9,13 +9,11 @@ from scipy.integrate import solve_ivp
 from rig_sim.analyses.limit_cycles.branches import continuation
 from rig_sim.analyses.limit_cycles.fixed_point import fixed_point, quadratic_roots
 from rig_sim.analyses.limit_cycles.floquet import floquet
-from rig_sim.cli import app as cli
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
-from stickslip.console import application
 
-from ...shared import CHAPTERS, answer, flow_of
+from ...shared import CHAPTERS, flow_of
 
 REFERENCE = CHAPTERS["chapter5"]
 
@@ -161,22 +159,3 @@ def test_a_fixed_point_that_leaves_the_ramp_loses_stability_at_its_edge():
     assert [(point.kind, round(point.value, 12)) for point in found.points if point.kind != "fold"] == [
         ("border-collision", 0.2)
     ]
-
-
-def test_commands_print_the_promised_keys(capsys):
-    rest = answer("fixed-point damped --set damper.c=0.45")
-    assert rest["x"] == pytest.approx(0.357142857142857, abs=1e-15)
-    assert [len(pair) for pair in rest["eigenvalues"]] == [2, 2]
-    orbit = answer("floquet damped --orbit unstable")
-    assert orbit["multipliers"][1] == pytest.approx(1.692648301, abs=1e-6)
-    followed = answer("continue damped --over damper.c=0.5:0.6:2")
-    (fold,) = followed["points"]
-    assert (fold["kind"], fold["parameter"]) == ("fold", "damper.c")
-    assert [(branch["kind"], branch["stable"]) for branch in followed["branches"]] == [
-        ("fixed point", True),
-        ("orbit", True),
-        ("orbit", False),
-    ]
-    assert set(followed["branches"][2]["rows"][0]) >= {"value", "multipliers", "period", "x_min"}
-    assert application.run(cli.app, ["continue", "damped", "--over", "damper.c=0.39:0.38:2"]) == 0
-    assert "hopf: damper.c = 0.382653061224" in capsys.readouterr().out

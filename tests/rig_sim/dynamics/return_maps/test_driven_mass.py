@@ -1,4 +1,4 @@
-"""A driven mass: sections, periods and exponents, against published numbers and a general solver."""
+"""A driven mass: sections, periods and exponents, against published numbers and its list of events."""
 
 import math
 
@@ -14,7 +14,7 @@ from rig_sim.systems import driven as driven_mass
 from rig_sim.systems.driven import DrivenMap, driven_map_with_starts
 
 from ...shared import CHAPTERS, answer
-from .general_solver import follow_by_scipy
+from .events_of_driven_mass import list_passages, list_strobes
 
 REFERENCE = CHAPTERS["chapter6"]
 EXPONENTS = REFERENCE["lambda_per_landing"]
@@ -34,15 +34,16 @@ def thesis(omega=1.6, **changes):
         (thesis(0.7, curve=CONSTANT, u0=0.6), (0.0, 0.0)),
     ],
 )
-def test_sections_are_those_of_a_general_solver(flow, start):
+def test_sections_are_those_of_the_events(flow, start):
     until = 25.0 if flow.omega == 1.6 else 40.0  # of a chaotic motion no longer
-    broken, _, strobes = follow_by_scipy(flow, *start, until)
+    broken, _ = list_passages(flow, *start, until)
+    strobes = list_strobes(flow, *start, until)
     slip = DrivenMap(flow, "slip").motion(start).follow(len(broken))
     assert len(broken) >= 2
-    assert slip.times * 2.0 * math.pi / flow.omega == pytest.approx(broken[:, 0], abs=1e-7)
-    assert slip.states[:, 0] == pytest.approx(broken[:, 1], abs=1e-7)
+    assert slip.times * 2.0 * math.pi / flow.omega == pytest.approx(broken[:, 0], abs=1e-10)
+    assert slip.states[:, 0] == pytest.approx(broken[:, 1], abs=1e-10)
     strobe = DrivenMap(flow).motion(start).follow(len(strobes))
-    assert strobe.states == pytest.approx(strobes, abs=1e-7)
+    assert strobe.states == pytest.approx(strobes, abs=1e-10)
 
 
 @pytest.mark.parametrize(
