@@ -126,18 +126,15 @@ def tables(compared: dict[str, Comparison]) -> dict[str, dict[str, list[str]]]:
     for name, comparison in compared.items():
         rows = {(row.method, row.setting): row for row in comparison.results}
         compiled, plain, tight = rows["exact", "compiled"], rows["exact", "interpreted"], rows[TIGHTEST]
-        own = f"{compiled.error:.1e}"
         if ("pathsim", f"tol {PATHSIM[-1]:g}") in rows:
             peer = rows["pathsim", f"tol {PATHSIM[-1]:g}"]
-            cells = [own, error_text(peer), over(peer, compiled), over(peer, plain)]
-            found.setdefault("error_vs_time pathsim", {})[name] = cells
+            found.setdefault("error_vs_time pathsim", {})[name] = [error_text(peer), over(peer, compiled)]
             continue
-        cells = [own, error_text(tight), over(tight, compiled), over(tight, plain)]
+        cells = [error_text(compiled), error_text(tight), over(tight, compiled), over(tight, plain)]
         found.setdefault("error_vs_time scenes", {})[name] = cells
         for key, row in rows.items():
             if key[0] == "heyoka":
-                cells = [own, error_text(row), over(row, compiled)]
-                found.setdefault("error_vs_time heyoka", {})[name] = cells
+                found.setdefault("error_vs_time heyoka", {})[name] = [error_text(row), over(row, compiled)]
     if "error_vs_time scenes" in found:
         rows = {(row.method, row.setting): row for row in compared["law 5"].results}
         found["error_vs_time methods"] = {

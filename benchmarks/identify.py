@@ -222,25 +222,25 @@ def table(rows: list[dict[str, Any]], scene: str) -> None:
         print(f"  rms over quantisation/sqrt(12): largest {max(rms) / quantised:.3f} of {len(rms)}")
 
 
-def page_rows(rows: list[dict[str, Any]]) -> dict[str, dict[str, list[str]]]:
-    """Return by page the rows of its table, by their first cell: of each scene all laws, and each law by itself."""
-    found: dict[str, dict[str, list[str]]] = {"identification.md": {}, "explanation/how-sure.md": {}}
+def page_rows(rows: list[dict[str, Any]]) -> dict[tuple[str, str], dict[str, list[str]]]:
+    """Return the rows of the tables by page and name: counts of each scene, and those of each law alone and right."""
+    scenes, by_law, summary = {}, {}, {}
     for scene in dict.fromkeys(row["scene"] for row in rows):
-        of_scene = [row for row in rows if row["scene"] == scene]
-        laws = sorted({row["law"] for row in of_scene})
-        each = {f"law {law}": [law] for law in laws if len(laws) > 1}
-        for name, mine in ({"all laws": laws} | each).items():
-            own = [row for row in of_scene if row["law"] in mine]
-            alone = [row for row in own if len(row["set"]) == 1]
-            right = sum(row["set"] == [row["law"]] for row in alone)
-            truth = sum(row["law"] in row["set"] for row in own)
-            first = sum(row["set"][:1] == [row["law"]] for row in own)
-            counts = [f"{n}/{len(own)}" for n in (truth, first, right)]
-            found["identification.md"][f"{scene}, {name}"] = [*counts, f"{right}/{len(alone)}"]
-            if scene in SAID and name == "all laws":
-                counts = [f"{truth} of {len(own)}", f"{right} of {len(alone)}"]
-                found["explanation/how-sure.md"][SAID[scene]] = counts
-    return found
+        own = [row for row in rows if row["scene"] == scene]
+        alone = [row for row in own if len(row["set"]) == 1]
+        right = sum(row["set"] == [row["law"]] for row in alone)
+        truth = sum(row["law"] in row["set"] for row in own)
+        first = sum(row["set"][:1] == [row["law"]] for row in own)
+        scenes[scene] = [*(f"{n}/{len(own)}" for n in (truth, first, right)), f"{right}/{len(alone)}"]
+        if scene in SAID:
+            summary[SAID[scene]] = [f"{truth} of {len(own)}", f"{right} of {len(alone)}"]
+            sets = {law: [row["set"] for row in own if row["law"] == law] for law in range(1, 7)}
+            by_law[scene] = [f"{of_law.count([law])}/{len(of_law)}" for law, of_law in sets.items()]
+    return {
+        ("identification.md", "identify"): scenes,
+        ("identification.md", "identify laws"): by_law,
+        ("explanation/how-sure.md", "identify"): summary,
+    }
 
 
 def parameter_rows(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
@@ -295,8 +295,8 @@ def main() -> None:
                 )
     for scene in given.scenes.split(","):
         table(rows, scene)
-    for page, cells in page_rows(rows).items() if given.write else ():
-        pages.write(page, "identify", cells)
+    for (page, name), cells in page_rows(rows).items() if given.write else ():
+        pages.write(page, name, cells)
     if given.write:
         pages.write("identification.md", "identify parameters", parameter_rows(rows))
     given.output.parent.mkdir(exist_ok=True)

@@ -1,11 +1,10 @@
 """CPU time spent on terms that a scene does not have: the integrator against a kernel written for that scene alone.
 
-``python benchmarks/scene_cost.py [REPEATS] [--write]`` (default 25): CPU time of both over the same interval, every
+``python benchmarks/scene_cost.py [REPEATS]`` (default 25): CPU time of both over the same interval, every
 cycle integrated, alternating, the smallest of the repeats; both must find the same events.  The kernels are in
 `benchmarks/hand/kernels.py`.  If a scene changes its friction or the velocity of the mass between events, a compiled
 loop calls the integrator phase by phase, as `rig_sim.motion.play.ScenePlayer` does.  Then each scene writes a file in a
-process of its own, which must load no module and store no channel of a term that the scene does not have.  ``--write``
-puts the ratios into docs/accuracy.md.
+process of its own, which must load no module and store no channel of a term that the scene does not have.
 """
 
 import json
@@ -23,7 +22,6 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-import pages
 from hand.kernels import KICK, LEAST_FACTOR, Constants, Terms, specialised
 from hand.polynomial import SIZE
 
@@ -252,8 +250,8 @@ def left_out(name: str, folder: str) -> dict[str, list[str]]:
     }
 
 
-def main(repeats: int, write: bool) -> None:
-    """Print the table, write the figure and the JSON, and with ``write`` the table of the page."""
+def main(repeats: int) -> None:
+    """Print the table, and write the figure and the JSON."""
     rows = []
     print(
         f"{'scene':22} {'events':>6} {'engine':>9} {'by hand':>9} {'ratio':>6} {'interpreted':>11}  not needed, there"
@@ -279,9 +277,6 @@ def main(repeats: int, write: bool) -> None:
             )
     above = [row["scene"] for row in rows if row["ratio"] > ASKED]
     print(f"CPU per event, compiled; required ratio: {ASKED}; above it: {', '.join(above) or 'none'}")
-    if write:
-        ratios = {row["scene"]: [f"{row[name]:.2f}" for name in ("ratio", "interpreted_ratio")] for row in rows}
-        pages.write("accuracy.md", "scene_cost", ratios)
     figure, axis = plt.subplots(figsize=(7, 5), layout="constrained")
     names = [row["scene"] for row in rows]
     axis.plot([row["ratio"] for row in rows], names, "o", label="compiled")
@@ -298,5 +293,4 @@ def main(repeats: int, write: bool) -> None:
 
 
 if __name__ == "__main__":
-    words, written = pages.asked()
-    main(int(words[0]) if words else 25, written)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 25)
