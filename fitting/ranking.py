@@ -1,4 +1,4 @@
-"""`rank`: smoothed records are fitted, the laws compete (`fitting.judge.evidence`), and the answer is put in words."""
+"""`rank`: fit smoothed records, compare all laws (`fitting.judge.evidence`), and put the answer in words."""
 
 import logging
 import time as clock
@@ -32,13 +32,13 @@ def rank(
     options: Options,
     progress: Callable[[float], None] | None = None,
 ) -> Ranking:
-    """Rank the laws of a record, or of several of one contact together; errors as of `fitting.rank`."""
+    """Rank the laws of one record, or of several records of one contact; raises the errors of `fitting.rank`."""
     begun = clock.process_time()
     if len(records) > 1:
         options.check_joint()
     runs = _cut(records, rigs, options)
 
-    def describing(records: Sequence[Kinematics], runs: Sequence[Run]) -> Mapping[int | str, LawParameters]:
+    def describe_separately(records: Sequence[Kinematics], runs: Sequence[Run]) -> Mapping[int | str, LawParameters]:
         """Return the laws that describe other runs, best first, with their parameters of each run."""
         try:
             return answer.describing(_compete(options, records, runs), options)
@@ -46,7 +46,7 @@ def rank(
             return {}
 
     def refit(free: Sequence[Run]) -> Sequence[LawParameters]:
-        return list(describing(records, free).values())
+        return list(describe_separately(records, free).values())
 
     try:
         competition = _compete(options, records, runs, progress, memory=True)
@@ -59,12 +59,12 @@ def rank(
     if len(runs) > 1 and (competition.runs_differ or not competition.described):
         alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
         for record, run in zip(records, competition.runs, strict=True):
-            alone.append({law: own[0] for law, own in describing([record], [run]).items()})
+            alone.append({law: parameters[0] for law, parameters in describe_separately([record], [run]).items()})
         other_contact = find_other_contact(alone)
     if other_contact is not None:
         competition = competition.undescribed
     contradicted = [[] for _ in runs]
-    if other_contact is None:  # else each run is described with what was stated
+    if other_contact is None:  # otherwise each run was described with its calibrations
         described = list(answer.describing(competition, options).values())
         contradicted = find_contradictions(described, competition.runs, records, refit)
     adequacies = assess(
@@ -92,12 +92,12 @@ def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -
         screening.refuse_wrong_times(record)
     runs, rest = [], options.competitors.fix.get("x0")
     for record, rig in zip(records, rigs, strict=True):
-        known = rig if rest is None else rig.resting_at(Measured(rest, 0.0))
-        motion = from_kinematics(record, known, options.belt_speed)
+        stated_rig = rig if rest is None else rig.resting_at(Measured(rest, 0.0))
+        motion = from_kinematics(record, stated_rig, options.belt_speed)
         screening.refuse_few_samples(motion, record)
         runs.append(law_fits.cut_run(motion, frozenset(options.excluded)))
-        found = runs[-1].cut
-        logger.info("%s: %d cycles, %d to fit", record.recording.name, len(found.cycles), len(found.used))
+        cut = runs[-1].cut
+        logger.info("%s: %d cycles, %d to fit", record.recording.name, len(cut.cycles), len(cut.used))
     return with_given(runs, options.competitors)
 
 
@@ -109,24 +109,24 @@ def _compete(
     *,
     memory: bool = False,
 ) -> Competition:
-    """Let all laws compete, with ``memory`` those too that have one; NoLawError where none comes near the record."""
+    """Compare all laws; with ``memory`` also laws with memory. Raise NoLawError where no law fits roughly."""
     competitors = options.competitors
-    six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
+    six, runs, sustained, refusal = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
     formulas, missing, warnings = fit_formulas(competitors, curve, six, sustained=sustained)
-    direct = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
-    lost = {fit.law: name_better_limit(fit, six) for fit in direct}
-    fits = [*(fit for fit in direct if not lost[fit.law]), *formulas]
-    if doubt and not screening.list_near(formulas, runs):
-        law_fits.refuse(doubt, records)
+    fits_of_six = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
+    reasons_lost = {fit.law: name_better_limit(fit, six) for fit in fits_of_six}
+    fits = [*(fit for fit in fits_of_six if not reasons_lost[fit.law]), *formulas]
+    if refusal and not screening.list_near(formulas, runs):
+        law_fits.refuse(refusal, records)
     if sustained:
-        followed = {*lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
-        lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in followed}
-    missing = [*(Unfitted(law, why) for law, why in lost.items() if why), *missing]
+        fitted_laws = {*reasons_lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
+        reasons_lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in fitted_laws}
+    missing = [*(Unfitted(law, why) for law, why in reasons_lost.items() if why), *missing]
     if not any(competitors.asks(fit.law) for fit in fits):
-        reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, asked in missing if asked)
-        where = ", ".join(record.recording.where for record in records)
-        raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
+        reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, requested in missing if requested)
+        sources = ", ".join(record.recording.where for record in records)
+        raise DataError(f"none of the requested laws can be fitted ({reasons})", sources, "add laws, as --laws 1-6")
     judge = partial(compete, noise=nearest.noise, known=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
     competition = judge(fits)
     if memory and sustained and not competition.described:
@@ -145,9 +145,9 @@ def _compete(
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
-    """Return the encoder's travel per revolution, m, if the same in all runs."""
-    found = set()
+    """Return the encoder's travel per revolution, m, if it is the same in all runs."""
+    travels = set()
     for record in records:
         pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution
-        found.add(None if pitch is None or counts is None else abs(pitch.value) * counts)
-    return found.pop() if len(found) == 1 else None
+        travels.add(None if pitch is None or counts is None else abs(pitch.value) * counts)
+    return travels.pop() if len(travels) == 1 else None

@@ -199,7 +199,7 @@ def assess(
     ]
 
 
-def describing(
+def judge_near_laws(
     fits: Sequence[Fit], motions: Sequence[MeasuredMotion], noise: float, known: Mapping[Law, Judged]
 ) -> dict[Law, Judged]:
     """Return the goodness of fit of the nearest law, and of those within `noise_levels.LOST` times the ``noise``, m."""

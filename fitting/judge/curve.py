@@ -34,10 +34,10 @@ from fitting.model.path import Curve, FrictionSpline
 from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
 from fitting.model.problem import EstimationProblem, rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
-from fitting.search.exchange import best_end
+from fitting.search.exchange import settle_from_starts
 from fitting.search.fit import Fit
 from fitting.search.formula import Target
-from fitting.search.passes import finish, regressed_start
+from fitting.search.passes import finish, start_from_regression
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 from stickslip.units import Measured
@@ -72,7 +72,7 @@ class MeasuredCurve:
     @property
     def level_assumed(self) -> bool:
         """Whether the record constrains only differences of friction."""
-        return self.spline_fit.held_rest is not None
+        return self.spline_fit.assumed_rest is not None
 
     @property
     def level_known(self) -> bool:
@@ -88,7 +88,7 @@ HIDDEN_STEP = 1e-3  # relative change of friction at rest, of the derivative by 
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
-def assumed_rest(fit: Fit) -> Measured | None:
+def rest_to_assume(fit: Fit) -> Measured | None:
     """Return the rest position to assume if levels do not scatter; None where a calibration determines the level."""
     yields = fit.law.ramp or Global.COMPLIANCE in fit.places
     for motion in fit.problem.motions:
@@ -144,7 +144,7 @@ def unseen(places: Sequence[int], curve: Curve, u: Array) -> Array:
 
 def linearised(fit: Fit) -> LinearisedFit:
     """Return the linearised problem, the curve's coordinates last; an assumed rest position stays uncertain."""
-    linear, curve, rest = LinearisedFit.at(fit), fit.curve_on_path, fit.held_rest
+    linear, curve, rest = LinearisedFit.at(fit), fit.curve_on_path, fit.assumed_rest
     if linear is None or curve is None:
         raise RuntimeError("a fitted curve has a path")
     if rest is None:
@@ -171,7 +171,7 @@ def chi(fit: Fit, noise: Array) -> float:
 
 def fit_spline(fit: Fit, noise: Array) -> Fit | None:
     """Fit a spline on the contact (jump or ramp) of a law; None where its motion cannot be followed."""
-    rest = assumed_rest(fit)
+    rest = rest_to_assume(fit)
     if rest is None:
         return _fit_spline(fit, noise, None)
     # the residuals of a wrong law can make its levels scatter: the curve decides
@@ -188,7 +188,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> Fit | None:
         return None
     task, law_end = beside
     starts = [(law_end, fit.noise.without_fade), *((start, None) for start in _regressed(task))]
-    settled = best_end(task, starts, noise)
+    settled = settle_from_starts(task, starts, noise)
     found = None if settled is None else finish(settled, noise) or settled
     return found if found is not None and found.can_be_followed else None
 
@@ -219,7 +219,7 @@ def _regressed(task: Task) -> list[FitStart]:
     found = regressed_curve(problem.runs, problem.start, curve.spline.knots, d)
     if found is None:
         return []
-    own, start = regressed_start(task), problem.start.copy()
+    own, start = start_from_regression(task), problem.start.copy()
     start[Global.K :: PER_RUN] = found[0]
     beside = start[list(task.places)]
     return [own._replace(q=curve.basis.unknowns(beside, found[1]))]
@@ -249,7 +249,7 @@ def _problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
 
 def curve_target(curve: MeasuredCurve) -> tuple[Target, float]:
     """Return the measured curve in its band as a target of formulas, and the standard deviation of its level, m/s^2."""
-    rest, friction = curve.spline_fit.held_rest, curve.friction
+    rest, friction = curve.spline_fit.assumed_rest, curve.friction
     target = Target(
         curve.speed - curve.ramp, np.diag(1 / curve.shape_half), friction / curve.shape_half, float(np.median(friction))
     )

@@ -22,7 +22,7 @@ from fitting.distributions import fisher_log_tail, normal_quantile
 from fitting.judge.curve import MeasuredCurve
 from fitting.judge.library import DEPARTURES
 from fitting.judge.linearised import LinearisedFit
-from fitting.judge.parameters import Parameter, covariances, derived_parameters, without_level_errors
+from fitting.judge.parameters import Parameter, covariances, derived_parameters, remove_level_errors
 from fitting.model.flow import SEARCH_STEP
 from fitting.model.forces import Departure, FittedMotion, Force, Forcing
 from fitting.model.path import Path
@@ -30,7 +30,7 @@ from fitting.model.predict import FitStart, Model, Task
 from fitting.model.tangents import tangents
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
-from fitting.search.passes import finish, first_pass, regressed_start, settle
+from fitting.search.passes import finish, first_pass, settle, start_from_regression
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
@@ -335,7 +335,7 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     if base is None:
         return None
     # A law that is far from the record may have been fitted to a thinned one alone.
-    alone, linear = fit.residual if fit.whole else fit.residual_in(finished.windows, fit.local), base.linear
+    alone, linear = fit.residual if fit.every_sample else fit.residual_in(finished.windows, fit.local), base.linear
     if alone is None:
         return None
     before = replace(linear, residual=alone).cost
@@ -345,14 +345,14 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
 
 
 def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
-    (force,), start = task.forces, regressed_start(task) if end is None else end.start
+    (force,), start = task.forces, start_from_regression(task) if end is None else end.start
     if force.departure.drag is None:
         rest = start.q if end is not None else start.q[: -force.width]
         return start._replace(q=np.concatenate([rest, size, np.zeros(force.width - size.size)]))
     fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
     table = force.departure.drag_table(fastest)
     u, drag = task.problem.start_with_drag(lambda v: np.interp(v, table.velocity, table.acceleration))
-    return regressed_start(task)._replace(q=np.concatenate([u[list(task.places)], [max(drag, 0.0)]]))
+    return start_from_regression(task)._replace(q=np.concatenate([u[list(task.places)], [max(drag, 0.0)]]))
 
 
 def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
@@ -374,7 +374,7 @@ def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
         text=departure.says(counted=record.counted),
         explained=min(refit.gain / misfit, 1.0) if misfit > 0 else 0.0,
         law=refit.fit.law.key,
-        parameters=derived_parameters(without_level_errors(refit.fit), record, alpha),
+        parameters=derived_parameters(remove_level_errors(refit.fit), record, alpha),
         scale=Scale(departure.scale, scale, departure.scale_unit) if math.isfinite(scale) else None,
     )
 

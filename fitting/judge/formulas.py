@@ -24,7 +24,7 @@ from fitting.laws import MEMORY, MEMORY_LIMITS, PUBLISHED, Competitors, Law, nat
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global
-from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, select_better, start_beside
+from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, select_better, settle_from_starts, warm_start
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.memory import fit_memory
@@ -45,7 +45,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     curve = FormulaCurve(law, fastest, target.off_by_a_constant(level_sd))
     problem = _problem(curve, host)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
-    beside = start_beside(task, host)
+    beside = warm_start(task, host)
     starts = []
     for start in curve.starts:
         if start.misfit <= START_MISFIT * curve.starts[0].misfit:
@@ -65,14 +65,14 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     tried = [(start, host.noise.without_fade) for start in starts]
     if law.name not in PUBLISHED:  # it may be the nearest law, written in another way
         tried = [*_starts_beside(task, nearest), *tried]
-    found = best_end(task, tried, noise, least)
+    found = settle_from_starts(task, tried, noise, least)
     error = math.inf if found is None else found.geometric_mean_rms
     limited = inner is not None and error > WORSE * inner.geometric_mean_rms
     behind = not hopeless and WORSE * least < error < FAR_BEYOND_BEST * least
     if (found is None or limited or behind) and error > noise_levels.DESCRIBES * position:
         neighbours = dict.fromkeys([inner, nearest] if inner is not None and limited else [nearest])
         again = [start for neighbour in neighbours for start in _starts_beside(task, neighbour)]
-        found = select_better(found, best_end(task, again, noise, least))
+        found = select_better(found, settle_from_starts(task, again, noise, least))
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
     if found is not None and found.geometric_mean_rms < limit:
         found = finish(found, noise) or found
@@ -90,7 +90,7 @@ def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise
     curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
     if not isinstance(curve, FormulaCurve):
         raise TypeError("not the task of a formula")
-    beside = start_beside(task, neighbour)
+    beside = warm_start(task, neighbour)
     speeds = curve.fastest / SPLINE_REACH * knots**KNOT_POWER
     u = task.split(beside.q)[0]
     raised = float(u[Global.K] * (neighbour.u[Global.DATUM] - u[Global.DATUM]))
@@ -216,7 +216,7 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
         return error.what.removeprefix(f"law {law.name} is ")
     if fit is None:
         return "its motion cannot be followed"
-    spline, found = curve.spline_fit.spline, fit.own_values
+    spline, found = curve.spline_fit.spline, fit.law_values
     friction, fastest = float(np.median(spline.coefficients)), float(spline.knots[-1])
     free = fit.task.curve.free
     if any(abs(found[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free):

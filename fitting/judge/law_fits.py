@@ -9,7 +9,7 @@ from typing import Any
 from fitting import noise_levels
 from fitting.judge import evidence, screening
 from fitting.judge.adequacy import describes
-from fitting.judge.parameters import without_level_errors
+from fitting.judge.parameters import remove_level_errors
 from fitting.laws import SIX, Law
 from fitting.model.problem import Run
 from fitting.options import Options
@@ -106,7 +106,7 @@ def fit_runs(
 def _fit_laws(
     laws: Sequence[Law], runs: Sequence[Run], among: Sequence[Law] = tuple(SIX.values()), **how: Any
 ) -> list[Fit]:
-    return [without_level_errors(one) for one in exchange.fit_laws(laws, runs, among, **how)]
+    return [remove_level_errors(one) for one in exchange.fit_laws(laws, runs, among, **how)]
 
 
 def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:

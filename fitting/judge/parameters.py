@@ -134,7 +134,7 @@ LARGEST_VARIANCE = 2.0
 SCATTER_ERRORS = 3.0
 
 
-def without_level_errors(fit: Fit) -> Fit:
+def remove_level_errors(fit: Fit) -> Fit:
     """Return a fit with the curvatures at levels without their errors.
 
     Without a datum a ramp law constrains only Fs/d, v_dr - d and x0 + Fs/k, unless the level changes between cycles.
@@ -315,7 +315,7 @@ def derived_parameters(
 
 def _differences(fit: Fit, known: "Known", own: Mapping[str, Parameter], quantile: float) -> dict[str, Parameter]:
     """Return the differences of a formula's levels that are known where the levels are not, per unit mass."""
-    values_of, found = fit.own_values, {}
+    values_of, found = fit.law_values, {}
     levels = [name for name in values_of if f"{name}/m" in own and fit.law.dimensions[name] == (1, 0)]
     for pair in combinations([name for name in levels if not own[f"{name}/m"].fixed], 2):
         if any(_level_known(own[f"{name}/m"]) for name in pair):

@@ -28,7 +28,7 @@ from fitting.model.problem import Run
 from fitting.record.cycles import Cycle, CycleSegmentation
 from fitting.record.motion import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.search.fit import Fit
-from fitting.search.passes import first_pass, regressed_start
+from fitting.search.passes import first_pass, start_from_regression
 from processing.record.kinematics import Kinematics
 from processing.record.motion import Finding
 from processing.record.noise import DITHERED
@@ -238,7 +238,7 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    best = min((fit for fit in fits if fit.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
+    best = min((fit for fit in fits if fit.every_sample), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else missing_share(best, record, run)
         if share is not None:
@@ -302,7 +302,7 @@ def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained
     for law in map(SIX.__getitem__, SCREENING_ORDER):
         if law in laws or (law.kind.curve == "constant" and not sustained):
             task = law_task(law, few)
-            fit = first_pass(task, regressed_start(task))
+            fit = first_pass(task, start_from_regression(task))
             if fit is not None and fit.misfit < WORST_ERROR * longest:
                 return ""
     return NONE_NEAR

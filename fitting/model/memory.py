@@ -241,7 +241,7 @@ def memory_task(law: Law, problem: MemoryProblem, start: dict[str, float]) -> Ta
     return Task(problem, MemoryCurve(law, start | dict(law.start or {})), places)
 
 
-def start_beside(task: Task, u: Array) -> FitStart:
+def warm_start(task: Task, u: Array) -> FitStart:
     """Return the start of a task at the rig of unknowns u (13 runs,), its windows at the smoothed motion."""
     problem = task.problem
     local = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, u)

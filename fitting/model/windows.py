@@ -283,7 +283,7 @@ class SampleNodes:
         )
         return cls(windows, before, part, _shared_out(np.ones(part.size), before, part, total))
 
-    def seen(self, model: Array, residual: Array) -> ShootingWindows:
+    def with_mean_residuals(self, model: Array, residual: Array) -> ShootingWindows:
         """Return the nodes, measured where their residual is the mean of the residual (N,) of samples near them.
 
         ``model`` (nodes,) are predicted positions, m.
