@@ -9,7 +9,7 @@ from functools import partial
 from daq.runfile.rig import Rig
 from fitting.judge import law_fits, screening
 from fitting.judge.adequacy import assess, measure
-from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, with_given
+from fitting.judge.calibrations import LawParameters, apply_user_values, find_contradictions, find_other_contact
 from fitting.judge.formulas import fit_formulas, fit_memory_laws, name_better_limit
 from fitting.judge.judgement import Competition, compete
 from fitting.judge.parameters import Parameter
@@ -98,7 +98,7 @@ def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -
         runs.append(law_fits.cut_run(motion, frozenset(options.excluded)))
         cut = runs[-1].cut
         logger.info("%s: %d cycles, %d to fit", record.recording.name, len(cut.cycles), len(cut.used))
-    return with_given(runs, options.competitors)
+    return apply_user_values(runs, options.competitors)
 
 
 def _compete(

@@ -18,8 +18,8 @@ from operator import attrgetter
 import numpy as np
 
 from fitting import noise_levels
-from fitting.judge.calibrations import formula_given
-from fitting.judge.curve import MeasuredCurve, curve_target, seen_speeds
+from fitting.judge.calibrations import apply_to_formula
+from fitting.judge.curve import MeasuredCurve, band_speeds, curve_target
 from fitting.laws import MEMORY, MEMORY_LIMITS, PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem, Run
@@ -192,7 +192,7 @@ def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequ
     """Yield the requested formulas, the published ones with the measured curve's contact, and laws with memory."""
     motion = six[0].problem.motions[0]
     requested = [law for law in (*competitors.formulas, *competitors.six) if not competitors.by_kernel(law)]
-    given = [formula_given(law, competitors.of_law(law), motion) for law in requested]
+    given = [apply_to_formula(law, competitors.of_law(law), motion) for law in requested]
     ramp = curve is not None and curve.spline_fit.problem.ramp
     yield from (law for law in given if not law.rate)
     yield from (replace(law, ramp=ramp) for law in PUBLISHED.values() if not competitors.asks(law))
@@ -246,7 +246,7 @@ def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
 def _draws(law: Law, rival: Fit, host: Fit) -> bool:
     if law.ramp != rival.problem.ramp:
         return False
-    speeds = seen_speeds(host)
+    speeds = band_speeds(host)
     friction = rival.task.friction(rival.q, speeds)
     nearest = find_starts(law, Target.of(speeds, friction, float(np.max(friction))))[0]
     return nearest.misfit < SAME_CURVE**2 * speeds.size

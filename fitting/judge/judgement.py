@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fitting.judge import evidence
-from fitting.judge.adequacy import Judged, judge_near_laws
+from fitting.judge.adequacy import LawJudgement, judge_near_laws
 from fitting.judge.curve import MeasuredCurve
 from fitting.judge.evidence import Evidence, ModelSet, Units
 from fitting.laws import Law
@@ -20,8 +20,8 @@ class Competition:
     """All fitted laws, in the order of the rows, and the goodness of fit of those near the noise."""
 
     fits: tuple[Fit, ...]
-    judged: Mapping[Law, Judged]
-    chosen: ModelSet
+    judged: Mapping[Law, LawJudgement]
+    model_set: ModelSet
     misfit: Mapping[Law, float]  # rms residual of the usual cycles over the noise of a position
     # laws outside the set whose residual, without penalties, is as small as the best law's; those it is nested in last
     not_excluded: tuple[Law, ...] = ()
@@ -36,7 +36,7 @@ class Competition:
 
     @property
     def members(self) -> tuple[Law, ...]:
-        return self.chosen.members
+        return self.model_set.members
 
     @property
     def compatible(self) -> tuple[int | str, ...]:
@@ -50,20 +50,20 @@ class Competition:
 
     @property
     def described(self) -> bool:
-        return bool(self.chosen.members)
+        return bool(self.model_set.members)
 
     @property
     def undescribed(self) -> "Competition":
         """The same competition, with no law that describes the runs together."""
-        return replace(self, chosen=ModelSet((), {}, {}, {}), not_excluded=())
+        return replace(self, model_set=ModelSet((), {}, {}, {}), not_excluded=())
 
     def describes(self, law: Law) -> bool:
         """Whether a law describes the record, as far as that can be judged."""
-        return self.described and law in self.judged and not self.judged[law].together.rejected
+        return self.described and law in self.judged and not self.judged[law].joint.rejected
 
 
 def compete(
-    fits: Sequence[Fit], noise: Array, known: Judged, runs: Sequence[Run], alpha: float, *, sustained: bool
+    fits: Sequence[Fit], noise: Array, known: LawJudgement, runs: Sequence[Run], alpha: float, *, sustained: bool
 ) -> Competition:
     """Compare all laws; the set contains only laws that describe the record.
 
@@ -84,7 +84,7 @@ def compete(
     motions, largest = [run.motion for run in runs], float(np.max(noise))
     seen = {known.fit.law: known} if known.fit is by_law.get(known.fit.law) else {}
     judged = judge_near_laws(list(by_law.values()), motions, largest, seen)
-    rejected = [law for law, fit in judged.items() if fit.together.rejected]
+    rejected = [law for law, fit in judged.items() if fit.joint.rejected]
     # a law does not describe the record if a rejected law, in which it is nested, fits better
     lost = {law for law in judged for other in rejected if other.contains(law) and misfit[other] < misfit[law]}
     judged = {law: fit for law, fit in judged.items() if law in rejected or law not in lost}
