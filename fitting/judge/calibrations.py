@@ -18,7 +18,7 @@ from daq.runfile.rig import Rig
 from fitting import noise_levels
 from fitting.judge.parameters import RUN_PARAMETERS, Parameter
 from fitting.laws import PER_MASS, Competitors, Given, Law
-from fitting.model.problem import GivenUnknown, Run
+from fitting.model.problem import Run, UserValue
 from fitting.model.unknowns import Global
 from fitting.record.motion import MeasuredMotion
 from processing.record.kinematics import Kinematics
@@ -58,7 +58,9 @@ def apply_user_values(runs: Sequence[Run], competitors: Competitors) -> list[Run
     return [
         replace(
             run,
-            given={law: _convert_values(values, run.motion.sign, mass) for law, values in of_laws.items() if values},
+            user_values={
+                law: _convert_values(values, run.motion.sign, mass) for law, values in of_laws.items() if values
+            },
         )
         for run in runs
     ]
@@ -84,7 +86,7 @@ def apply_to_formula(law: Law, values: Mapping[str, Given], motion: MeasuredMoti
     return law.given(fix, bounds, start)
 
 
-def _convert_values(values: Mapping[str, Given], sign: float, motion: MeasuredMotion) -> tuple[GivenUnknown, ...]:
+def _convert_values(values: Mapping[str, Given], sign: float, motion: MeasuredMotion) -> tuple[UserValue, ...]:
     unknowns = []
     for name, value in values.items():
         slot = UNKNOWNS.get(name.removesuffix(PER_MASS))
@@ -96,7 +98,7 @@ def _convert_values(values: Mapping[str, Given], sign: float, motion: MeasuredMo
             None if end is None else _to_unknown(slot, factor * end) for end in (value.low, value.high, value.start)
         ]
         low, high = sorted((ends[0], ends[1]))  # type: ignore[type-var]
-        unknowns.append(GivenUnknown(slot, float(low), float(high), ends[2]))  # type: ignore[arg-type]
+        unknowns.append(UserValue(slot, float(low), float(high), ends[2]))  # type: ignore[arg-type]
     return tuple(unknowns)
 
 

@@ -31,7 +31,7 @@ from fitting.judge.parameters import STATED_ERROR, Parameter
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.path import Curve, FrictionSpline
-from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task, regressed_curve
+from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task, regress_curve
 from fitting.model.problem import EstimationProblem, rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
 from fitting.search.exchange import settle_from_starts
@@ -158,7 +158,7 @@ def linearise_spline_fit(fit: Fit) -> LinearisedFit:
         part[:, datum] = -np.einsum("ij,j->i", part[:, : moves.size], moves)
         return part
 
-    return linear.changed(move, linear.priors._replace(precision=precision))
+    return linear.transform(move, linear.priors._replace(precision=precision))
 
 
 def chi(fit: Fit, noise: Array) -> float:
@@ -216,7 +216,7 @@ def _start_from_regression(task: Task) -> list[FitStart]:
     """Return the start from the smoothed slips, or none if their regression is not physical."""
     problem, curve = task.problem, free_curve(task)
     d = float(problem.start[Global.D]) if curve.ramp else 0.0
-    regression = regressed_curve(problem.runs, problem.start, curve.spline.knots, d)
+    regression = regress_curve(problem.runs, problem.start, curve.spline.knots, d)
     if regression is None:
         return []
     task_start, start = start_from_regression(task), problem.start.copy()

@@ -42,7 +42,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     host, noise = seen.spline_fit, seen.noise
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else seen.ramp))
     target, level_sd = curve_target(seen)
-    curve = FormulaCurve(law, fastest, target.off_by_a_constant(level_sd))
+    curve = FormulaCurve(law, fastest, target.with_unknown_constant(level_sd))
     problem = _problem(curve, host)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
     beside = warm_start(task, host)
@@ -51,7 +51,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
         if start.misfit <= START_MISFIT * curve.starts[0].misfit:
             theta = curve.theta_at(start.values)
             friction = curve.at_speeds(theta, target.speeds)
-            rise = target.constant_beside(friction, level_sd) / host.u[Global.K]
+            rise = target.nearest_constant(friction, level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
             starts.append(beside._replace(q=np.concatenate([shared, theta])))
     position = float(np.max(noise))

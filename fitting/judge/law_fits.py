@@ -55,7 +55,7 @@ def _remove_ripple(run: Run) -> Run:
     if belt_ripple is None:
         return run
     return replace(
-        run, cut=cycles.segment_cycles(belt_ripple.removed(run.motion), _excluded_numbers(run)), ripple=belt_ripple
+        run, cut=cycles.segment_cycles(belt_ripple.remove_from(run.motion), _excluded_numbers(run)), ripple=belt_ripple
     )
 
 

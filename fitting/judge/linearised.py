@@ -72,9 +72,9 @@ class LinearisedFit:
         except UnfollowableError:
             return None
 
-    def changed(self, change: Callable[[Array], Array], priors: Priors) -> "LinearisedFit":
+    def transform(self, change: Callable[[Array], Array], priors: Priors) -> "LinearisedFit":
         """Change the derivatives (n, p + q) of each block."""
-        return self.of(self.derivatives.changed(change), self.residual, self.rows, self.weights, priors)
+        return self.of(self.derivatives.transform(change), self.residual, self.rows, self.weights, priors)
 
     @cached_property
     def first(self) -> Integers:
@@ -143,7 +143,7 @@ class LinearisedFit:
         step, local_step = reduced_fit.reduced.newton_step(reduced_fit.blocks.g, reduced_fit.blocks.gl)
         steps = self._steps(step[:, None], local_step[:, :, None])
         moved = [after[:, 0] for _, _, after in self._move(partial(split_by_block, self.residual[:, None]), steps)]
-        refit = replace(reduced_fit, residual=np.concatenate(moved), blocks=reduced_fit.blocks.moved(step, local_step))
+        refit = replace(reduced_fit, residual=np.concatenate(moved), blocks=reduced_fit.blocks.shift(step, local_step))
         return refit if refit.cost <= reduced_fit.cost else self
 
     def _steps(self, step: Array, local_step: Array) -> Array:

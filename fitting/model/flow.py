@@ -61,9 +61,9 @@ def normal_curve(c: Contact, s: float) -> tuple[float, float]:
     """Return n(s) and its slope (s/m); a spline has a constant slope beyond its last knot."""
     if c.curve == SPLINE:
         i = piece_of(c.table, c.pieces, s)
-        z, at = s - c.table[i], c.pieces + 4 * i
-        c1, c2, c3 = c.table[at + 1], c.table[at + 2], c.table[at + 3]
-        return c.table[at] + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
+        z, first = s - c.table[i], c.pieces + 4 * i
+        c1, c2, c3 = c.table[first + 1], c.table[first + 2], c.table[first + 3]
+        return c.table[first] + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
     return magnitude(c.curve, s, 1.0, c.shape, c.shape), slope(c.curve, s, 1.0, c.shape, c.shape)
 
 
@@ -172,20 +172,20 @@ def piece(w: Window, t: float) -> int:
     return low
 
 
-def between(w: Window, row: int, t: float) -> float:
+def interpolate(w: Window, row: int, t: float) -> float:
     """Return a row of `Extra.along` at time t by linear interpolation; 0 for no row."""
     if row == 0:
         return 0.0
     i = piece(w, t)
     j = min(i + 1, w.high - 1)
     gap = w.along[0, j] - w.along[0, i]
-    part = (t - w.along[0, i]) / gap if gap > 0.0 else 0.0
-    part = min(max(part, 0.0), 1.0)
-    return float(w.along[row, i] + part * (w.along[row, j] - w.along[row, i]))
+    share = (t - w.along[0, i]) / gap if gap > 0.0 else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return float(w.along[row, i] + share * (w.along[row, j] - w.along[row, i]))
 
 
-def slope_between(w: Window, row: int, t: float) -> float:
-    """Return the slope of a row of `Extra.along` just after time t, interpolated as by `between`."""
+def interpolate_slope(w: Window, row: int, t: float) -> float:
+    """Return the slope of a row of `Extra.along` just after time t, interpolated as by `interpolate`."""
     if row == 0 or not w.along[0, w.low] <= t < w.along[0, w.high - 1]:
         return 0.0
     i = piece(w, t)
@@ -195,7 +195,7 @@ def slope_between(w: Window, row: int, t: float) -> float:
 def belt_speed(w: Window, t: float) -> float:
     """Return the speed of the unloaded belt, m/s."""
     u, omega = w.u, w.u[OMEGA]
-    steady = u[V_DR] + between(w, w.belt, t)
+    steady = u[V_DR] + interpolate(w, w.belt, t)
     if omega == 0.0:
         return float(steady)
     return float(steady + u[COSINE] * math.cos(omega * t) + u[SINE] * math.sin(omega * t))
@@ -206,11 +206,11 @@ def belt_acceleration(w: Window, t: float) -> float:
     u, omega = w.u, w.u[OMEGA]
     if omega == 0.0 and w.belt == 0:
         return 0.0
-    drift = slope_between(w, w.belt, t)
+    drift = interpolate_slope(w, w.belt, t)
     return float(drift + omega * (u[SINE] * math.cos(omega * t) - u[COSINE] * math.sin(omega * t)))
 
 
-def remaining(fade: float, t: float, epoch: float) -> float:
+def fade_factor(fade: float, t: float, epoch: float) -> float:
     """Return the friction level at time t (s) over that at ``epoch``.
 
     Each cycle's level falls along a line of time; all lines have the same zero, as the run's wear has: a constant loss
@@ -221,7 +221,7 @@ def remaining(fade: float, t: float, epoch: float) -> float:
 
 def level_at(w: Window, t: float) -> float:
     """Return the friction level over F, which fades from the cycle's break-away on."""
-    return float(w.level * remaining(w.u[FADE], t, w.epoch))
+    return float(w.level * fade_factor(w.u[FADE], t, w.epoch))
 
 
 def drag(w: Window, v: float) -> tuple[float, float]:
@@ -246,7 +246,7 @@ def resistance(w: Window, v: float) -> float:
 
 def free_force(w: Window, t: float, x: float) -> float:
     """Return the acceleration of the mass at rest without friction, m/s^2."""
-    return float(-w.u[K] * (x - w.u[DATUM]) + between(w, w.force, t))
+    return float(-w.u[K] * (x - w.u[DATUM]) + interpolate(w, w.force, t))
 
 
 def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
@@ -268,7 +268,7 @@ def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
     rate = rise + w.u[DAMPING] - bend
     slower = (w.u[DAMPING] * belt - dragged - free_force(w, t, x)) / rate  # than the belt; small on a steep ramp
     late = (rise * belt_acceleration(w, t) - w.u[K] * (belt - slower)) / rate**2
-    steady = w.u[V_DR] + between(w, w.belt, t)
+    steady = w.u[V_DR] + interpolate(w, w.belt, t)
     return float(belt - (slower + late + w.u[OMEGA] ** 2 * (belt - steady) / rate**2))
 
 
@@ -324,9 +324,9 @@ FIRST_POINT, WINDOW, SAMPLE = range(3)
 X_SLIP, V_SLIP, OWN, NEXT, X_STICK, V_STICK = (int(column) for column in PerCycle)
 
 
-def margin(w: Window, mode: int, held: bool, t: float, x: float, v: float) -> float:
+def margin(w: Window, mode: int, held_to_end: bool, t: float, x: float, v: float) -> float:
     """Return the distance of a state from the edge of its mode (m/s, in stick m/s^2); negative after its end."""
-    if held:
+    if held_to_end:
         return 1.0
     e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
     if mode == NEGATIVE:
@@ -385,7 +385,7 @@ def next_mode(w: Window, mode: int, t: float, x: float, v: float) -> int:
     return NEGATIVE if pull > most else STICK
 
 
-def ramp_mode(w: Window, held: bool, t: float, x: float) -> int:
+def ramp_mode(w: Window, held_to_end: bool, t: float, x: float) -> int:
     """Return the mode in which a ramp is entered: CREEP where its transient would not show, else RAMP.
 
     Where the forces balance beyond the ramp, its transient carries the mass through it: no creep.
@@ -393,22 +393,22 @@ def ramp_mode(w: Window, held: bool, t: float, x: float) -> int:
     edge = edge_speed(w.contact)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     stretch = w.contact.F * w.contact.at_rest / w.u[K]
-    return CREEP if edge < TRANSIENT_HIDDEN * rise * stretch and balances(w, held, t, x) else RAMP
+    return CREEP if edge < TRANSIENT_HIDDEN * rise * stretch and balances(w, held_to_end, t, x) else RAMP
 
 
-def balances(w: Window, held: bool, t: float, x: float) -> bool:
+def balances(w: Window, held_to_end: bool, t: float, x: float) -> bool:
     """Return whether the forces balance within the ramp, which has no edge where the contact is held."""
-    return held or abs(belt_speed(w, t) - bound_velocity(w, CREEP, t, x)) < edge_speed(w.contact)
+    return held_to_end or abs(belt_speed(w, t) - bound_velocity(w, CREEP, t, x)) < edge_speed(w.contact)
 
 
-def settled(w: Window, held: bool, t: float, x: float, since: float, longest: float) -> bool:
+def can_creep(w: Window, held_to_end: bool, t: float, x: float, since: float, longest: float) -> bool:
     """Return whether a ramp entered at time ``since`` can creep in steps ``longest`` times the fastest rate.
 
     The error is of second order in K/rise^2, like that of a step.
     """
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     steep = math.sqrt(w.u[K]) < STEEP_RAMP * longest * rise
-    return steep and (t - since) * rise > TRANSIENT_TIMES and balances(w, held, t, x)
+    return steep and (t - since) * rise > TRANSIENT_TIMES and balances(w, held_to_end, t, x)
 
 
 def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
@@ -478,7 +478,7 @@ def first_mode(w: Window, stick: bool, t: float, x: float, v: float) -> tuple[in
 def mode_at_edge(
     w: Window,
     before: int,
-    held: bool,
+    held_to_end: bool,
     landed: bool,
     overtakes: bool,
     earliest: float,
@@ -496,29 +496,29 @@ def mode_at_edge(
     if landed and before == POSITIVE:
         return STICK if jump else ramp_mode(w, True, t, x), True, True, w.level
     if landed or before != NEGATIVE or t < earliest:
-        return next_mode(w, before, t, x, v), held, landed, w.level
+        return next_mode(w, before, t, x, v), held_to_end, landed, w.level
     if jump:
         return POSITIVE if overtakes else STICK, not overtakes, True, next_level
     after = at_level(w, next_level)
     return ramp_mode(after, not overtakes, t, x), not overtakes, True, next_level
 
 
-def contact_of(curve: int, own: Array, ramp: int, pieces: int, spline: Array) -> Contact:
-    """Return the contact of a run with unknowns ``own`` (13,)."""
-    F = math.exp(own[LOG_F])
-    d = own[D] if ramp == 1 else 0.0
-    q = own[COMPLIANCE] * F / own[K]
-    c = Contact(curve, F, own[SHAPE], d, q, 1.0, 1.0, pieces, spline)
-    static = own[STATIC] if ramp == 1 and q == 0.0 else 1.0
-    return Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], pieces, spline)
+def contact_of(curve: int, u: Array, ramp: int, pieces: int, spline: Array) -> Contact:
+    """Return the contact of a run with unknowns ``u`` (13,)."""
+    F = math.exp(u[LOG_F])
+    d = u[D] if ramp == 1 else 0.0
+    q = u[COMPLIANCE] * F / u[K]
+    c = Contact(curve, F, u[SHAPE], d, q, 1.0, 1.0, pieces, spline)
+    static = u[STATIC] if ramp == 1 and q == 0.0 else 1.0
+    return Contact(curve, F, u[SHAPE], d, q, static, normal_curve(c, 0.0)[0], pieces, spline)
 
 
 def step_to_edge(
-    w: Window, mode: int, held: bool, t: float, x: float, v: float, h: float
+    w: Window, mode: int, held_to_end: bool, t: float, x: float, v: float, h: float
 ) -> tuple[float, float, float, bool]:
     """Return (x, v) after a step of length h, cut where the mode ends; its length, and whether the mode ends."""
     x1, v1 = advance(w, mode, t, x, v, h)
-    ends = margin(w, mode, held, t + h, x1, v1) < 0.0 and math.isfinite(x1 + v1)
+    ends = margin(w, mode, held_to_end, t + h, x1, v1) < 0.0 and math.isfinite(x1 + v1)
     if ends:
         h = time_of_edge(w, mode, t, x, v, h)
         x1, v1 = advance(w, mode, t, x, v, h)
@@ -538,15 +538,17 @@ def window_at(
     extra: Extra,
 ) -> tuple[Window, float, float, float]:
     """Return the numbers of a window, its first position and velocity, and the next level; `follow_windows`."""
-    own, part = u[table[row, 5]], local[table[row, 0]]
-    c = contact_of(curve, own, ramp, pieces, spline)
+    u_of_run, u_of_cycle = u[table[row, 5]], local[table[row, 0]]
+    c = contact_of(curve, u_of_run, ramp, pieces, spline)
     low, high = 0, 0
     if extra.along.size > 0:
         low, high = extra.first[row], extra.first[row + 1]
     acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
-    w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, *acts)
-    x, v = (part[X_STICK], part[V_STICK]) if table[row, 1] == 1 else (part[X_SLIP], part[V_SLIP])
-    return w, x, v, math.exp(part[NEXT])
+    w = Window(u_of_run, c, math.exp(u_of_cycle[OWN]), epoch[row], low, high, *acts)
+    x, v = (
+        (u_of_cycle[X_STICK], u_of_cycle[V_STICK]) if table[row, 1] == 1 else (u_of_cycle[X_SLIP], u_of_cycle[V_SLIP])
+    )
+    return w, x, v, math.exp(u_of_cycle[NEXT])
 
 
 def follow_window(
@@ -576,13 +578,13 @@ def follow_window(
     too small, and (0, -1) where the motion cannot be followed.
     """
     t = times[0]
-    held, landed = stick, stick
+    held_to_end, landed = stick, stick
     mode, v = first_mode(w, stick, t, x, v)
     i, events, entered, since = 0, 0, True, t
     while True:
         if m + 4 > points.shape[1] or s >= steps.shape[0]:  # a change of mode, and the middle and end of a step
             return -1, 0
-        if mode == RAMP and not entered and settled(w, held, t, x, since, longest):
+        if mode == RAMP and not entered and can_creep(w, held_to_end, t, x, since, longest):
             mode = CREEP
             v = bound_velocity(w, mode, t, x)
             m += 1
@@ -599,7 +601,7 @@ def follow_window(
         gap = times[i] - t
         h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / longest))
         h = min(h, turning_step(w, mode, t, x, v))
-        x1, v1, h, ends = step_to_edge(w, mode, held, t, x, v, h)
+        x1, v1, h, ends = step_to_edge(w, mode, held_to_end, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return 0, -1
         done = not ends and h >= gap
@@ -625,7 +627,9 @@ def follow_window(
                 return 0, -1
             before = mode
             rates_before = rates_at(w, before, t, x, v)
-            mode, held, landed, level = mode_at_edge(w, before, held, landed, overtakes, earliest, next_level, t, x, v)
+            mode, held_to_end, landed, level = mode_at_edge(
+                w, before, held_to_end, landed, overtakes, earliest, next_level, t, x, v
+            )
             w = at_level(w, level)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)

@@ -24,10 +24,10 @@ from stickslip.compute.arrays import Array, Integers, Mask
 
 def follow_pole(drive: Array, turn: complex, gain: complex, state: NDArray[np.complex128]) -> None:
     """Fill ``state`` (n,) from 0: each is ``turn`` times the one before plus ``gain`` times the drive (n,) then."""
-    now = 0j
+    value = 0j
     for k in range(drive.size):
-        state[k] = now
-        now = turn * now + gain * drive[k]
+        state[k] = value
+        value = turn * value + gain * drive[k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +207,8 @@ class Force:
     @property
     def lower(self) -> Array:
         """Lower bounds (width,): a drag dissipates energy; another force may have either sign."""
-        least = 0.0 if self.departure.drag is not None else -np.inf
-        return np.array([least] * self.departure.columns + [-SCALE_RANGE] * self.scanned)
+        lowest = 0.0 if self.departure.drag is not None else -np.inf
+        return np.array([lowest] * self.departure.columns + [-SCALE_RANGE] * self.scanned)
 
     @property
     def upper(self) -> Array:
@@ -229,10 +229,10 @@ class Force:
         forcing = self.departure.forcing(motion, scale)
         if not self.scanned:
             return [forcing]
-        beside = self.departure.forcing(motion, scale * (1 + SCALE_STEP))
+        stepped = self.departure.forcing(motion, scale * (1 + SCALE_STEP))
         along = self.coefficients(size) / (self.scale / scale * SCALE_STEP)
         parts = [
-            None if near is None or far is None else np.einsum("nk,k->n", far - near, along)[:, np.newaxis]
-            for near, far in zip(forcing, beside, strict=True)
+            None if before is None or after is None else np.einsum("nk,k->n", after - before, along)[:, np.newaxis]
+            for before, after in zip(forcing, stepped, strict=True)
         ]
         return [forcing, Forcing(*parts)]

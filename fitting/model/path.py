@@ -25,10 +25,10 @@ from fitting.model.flow import (
     Window,
     at_level,
     bound_velocity,
+    can_creep,
     fastest_rate,
     first_mode,
     mode_at_edge,
-    settled,
     step_to_edge,
     turning_step,
     window_at,
@@ -54,8 +54,8 @@ class FrictionSpline:
     @classmethod
     def over(cls, knots: Array, coefficients: Array | None = None) -> "FrictionSpline":
         """Return a spline over knots (n + 1,), with coefficients (n + 3,) 0 unless given."""
-        found = np.zeros(knots.size + DEGREE - 1) if coefficients is None else coefficients
-        return cls(knots, found, _basis_pieces(knots))
+        values = np.zeros(knots.size + DEGREE - 1) if coefficients is None else coefficients
+        return cls(knots, values, _basis_pieces(knots))
 
     def with_coefficients(self, coefficients: Array) -> "FrictionSpline":
         return FrictionSpline(self.knots, coefficients, self.basis_pieces)
@@ -65,10 +65,18 @@ class FrictionSpline:
 
         Every piece holds at least four of the speeds, and none lies outside the knots.
         """
-        found = np.zeros(self.coefficients.size)
+        nearest = np.zeros(self.coefficients.size)
         fit = compiled(fill_nearest, ("rig_sim.friction.spline", __name__), _nrt=False)
-        fit(self.knots, self.basis_pieces, s, values, np.zeros((found.size, DEGREE + 1)), np.empty(DEGREE + 1), found)
-        return self.with_coefficients(found)
+        fit(
+            self.knots,
+            self.basis_pieces,
+            s,
+            values,
+            np.zeros((nearest.size, DEGREE + 1)),
+            np.empty(DEGREE + 1),
+            nearest,
+        )
+        return self.with_coefficients(nearest)
 
     @cached_property
     def pieces(self) -> Array:
@@ -92,11 +100,11 @@ class FrictionSpline:
 
         Continued with a constant slope beyond the last knot; below 0 by the first polynomial.
         """
-        found = np.zeros((directions.shape[1], s.size))
+        basis = np.zeros((directions.shape[1], s.size))
         fill = compiled(fill_basis, ("rig_sim.friction.spline", __name__), _nrt=False)
         each = np.broadcast_to(factor, s.shape).copy()
-        fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), each, np.ascontiguousarray(directions), found)
-        return found
+        fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), each, np.ascontiguousarray(directions), basis)
+        return basis
 
     def projection(self, s: Array) -> Array:
         """Return the matrix (n + 3, k) from values at speeds s (k,) to the coefficients of the nearest spline."""
@@ -119,23 +127,23 @@ def _basis_pieces(knots: Array) -> Array:
     n = knots.size - 1
     piece = np.arange(n)
     # those of the four functions that act on a piece, in powers of s - t_i with i = piece + 3; the last one is 0 here
-    found = np.zeros((DEGREE + 2, n, DEGREE + 1))
-    found[DEGREE, :, 0] = 1.0
+    functions = np.zeros((DEGREE + 2, n, DEGREE + 1))
+    functions[DEGREE, :, 0] = 1.0
     below = t[piece + DEGREE]
     for k in range(1, DEGREE + 1):
         for row in range(DEGREE - k, DEGREE + 1):
             j = piece + row
             total = np.zeros((n, DEGREE + 1))
             if row > DEGREE - k:
-                rise = (below - t[j])[:, None] * found[row] + np.roll(found[row], 1, axis=1)
+                rise = (below - t[j])[:, None] * functions[row] + np.roll(functions[row], 1, axis=1)
                 total += rise / (t[j + k] - t[j])[:, None]
             if row < DEGREE:
-                fall = (t[j + k + 1] - below)[:, None] * found[row + 1] - np.roll(found[row + 1], 1, axis=1)
+                fall = (t[j + k + 1] - below)[:, None] * functions[row + 1] - np.roll(functions[row + 1], 1, axis=1)
                 total += fall / (t[j + k + 1] - t[j + 1])[:, None]
-            found[row] = total
+            functions[row] = total
     pieces = np.zeros((n + DEGREE, n, DEGREE + 1))
     for row in range(DEGREE + 1):
-        pieces[piece + row, piece] = found[row]
+        pieces[piece + row, piece] = functions[row]
     return pieces
 
 
@@ -375,9 +383,9 @@ def kernel_arguments(
         unknowns[:, LOG_F] = 0.0
     first, acting, force, belt = np.zeros(1, np.int64), NO_FORCES, 0, 0
     if along is not None:
-        given = [part for part in (acceleration, belt_speed) if part is not None]
-        first, acting = along.first_point, np.stack((along.time, *given))
-        force, belt = int(acceleration is not None), 0 if belt_speed is None else len(given)
+        effects = [effect for effect in (acceleration, belt_speed) if effect is not None]
+        first, acting = along.first_point, np.stack((along.time, *effects))
+        force, belt = int(acceleration is not None), 0 if belt_speed is None else len(effects)
     extra = Extra(first, acting, force, belt, np.stack((drag.velocity, drag.acceleration)), drag.turn)
     return (
         curve.code,
@@ -441,7 +449,7 @@ def window_values(
     It fails where the motion is not finite, stays on an edge, or takes more than ``most`` steps.
     """
     t, end = times[0], times[times.size - 1]
-    held, landed = stick, stick
+    held_to_end, landed = stick, stick
     mode, v = first_mode(w, stick, t, x, v)
     out[0] = x
     i, events, since, steps = 1, 0, t, 0
@@ -449,7 +457,7 @@ def window_values(
         if steps == most:
             return -1
         steps += 1
-        if mode == RAMP and settled(w, held, t, x, since, longest):
+        if mode == RAMP and can_creep(w, held_to_end, t, x, since, longest):
             mode = CREEP
             v = bound_velocity(w, mode, t, x)
         # What a step leaves out of a ramp dies away with its transient.
@@ -458,20 +466,22 @@ def window_values(
         h = step / rate if rate * (end - t) > step else end - t
         h = min(h, turning_step(w, mode, t, x, v))
         last = h >= end - t
-        x1, v1, h, ends = step_to_edge(w, mode, held, t, x, v, h)
+        x1, v1, h, ends = step_to_edge(w, mode, held_to_end, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return -1
-        now = end if last and not ends else t + h
-        while i < times.size and times[i] <= now:
+        step_end = end if last and not ends else t + h
+        while i < times.size and times[i] <= step_end:
             r = (times[i] - t) / h if h > 0.0 else 1.0
             out[i] = x + r * r * (3.0 - 2.0 * r) * (x1 - x) + h * r * (1.0 - r) * ((1.0 - r) * v - r * v1)
             i += 1
-        t, x, v = now, x1, v1
+        t, x, v = step_end, x1, v1
         if ends:
             events += 1
             if events > MOST_EVENTS:
                 return -1
-            mode, held, landed, level = mode_at_edge(w, mode, held, landed, overtakes, earliest, next_level, t, x, v)
+            mode, held_to_end, landed, level = mode_at_edge(
+                w, mode, held_to_end, landed, overtakes, earliest, next_level, t, x, v
+            )
             w = at_level(w, level)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)

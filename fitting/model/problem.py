@@ -117,12 +117,12 @@ def regress_start(
         rest = _rest_by_scatter(motion, cut, rest)
     x_slip = break_away_position(motion, cut) + BREAK_AWAY_MARGIN * motion.travel
     friction = _Slips(samples, besides, while_stuck, x_slip)
-    K, F, shape, rest, size = _curve(friction, curve, rest, d, v_dr, loose)
+    K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, loose)
     if ramp:
         v_dr = level + slope * rest
         belt_slope = 0.0 if motion.compliance is None else motion.compliance.value
         d = float(np.clip((-slope - belt_slope) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
-        K, F, shape, rest, size = _curve(friction, curve, rest, d, v_dr, loose)
+        K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, loose)
     return Values(K, F, v_dr, shape, d, rest), size
 
 
@@ -136,9 +136,10 @@ def cycle_starts(
     local = windows.starting_values(motions)
     for k, (cycle, run) in enumerate(zip(cycles, windows.run, strict=True)):
         if cycle.overtakes:
-            motion, own = motions[run], u[PER_RUN * run :]
-            load = own[Global.K] * (own[Global.DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))
-            level = max(OVERTAKING_LEVEL * load / math.exp(own[Global.LOG_F]), LEAST_LEVEL)
+            motion, unknowns_of_run = motions[run], u[PER_RUN * run :]
+            landing = float(np.interp(cycle.landing, motion.time, motion.position))
+            load = unknowns_of_run[Global.K] * (unknowns_of_run[Global.DATUM] - landing)
+            level = max(OVERTAKING_LEVEL * load / math.exp(unknowns_of_run[Global.LOG_F]), LEAST_LEVEL)
             local[k, PerCycle.NEXT_LEVEL] = math.log(level)
     return local
 
@@ -146,15 +147,15 @@ def cycle_starts(
 def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:
     """Return (F, shape) of a curve that equals another at a quarter and three quarters of ``fastest``, m/s."""
     s = np.array([0.25, 0.75]) * fastest
-    near, far = magnitude(other, s, F, shape * F, shape)
-    if curve == CONSTANT or not near > far > 0:
-        return max(0.5 * float(near + far), 1e-3 * F), LEAST_SHAPE / fastest
+    slow, fast = magnitude(other, s, F, shape * F, shape)
+    if curve == CONSTANT or not slow > fast > 0:
+        return max(0.5 * float(slow + fast), 1e-3 * F), LEAST_SHAPE / fastest
     if curve == LINEAR:
-        slope = (near - far) / (s[1] - s[0])
-        level = near + slope * s[0]
+        slope = (slow - fast) / (s[1] - s[0])
+        level = slow + slope * s[0]
         return float(level), float(min(slope / level, STEEPEST_LINE / fastest))
-    gamma = (near - far) / max(far * s[1] - near * s[0], 1e-2 * near * s[0])
-    return float(near * (1 + gamma * s[0])), float(gamma)
+    gamma = (slow - fast) / max(fast * s[1] - slow * s[0], 1e-2 * slow * s[0])
+    return float(slow * (1 + gamma * s[0])), float(gamma)
 
 
 def with_static(curve: int, p: Values, static: float) -> Values:
@@ -187,16 +188,16 @@ class _Slips:
     x_slip: float
 
 
-def _curve(
+def _fit_slip_curve(
     slips: _Slips, curve: int, datum: float, d: float, v_dr: float, loose: bool
 ) -> tuple[float, float, float, float, float]:
     """Return (K, F, shape, datum) of one slip curve and the size of the drag, or the kinematics' if absurd."""
     samples, besides = slips.samples, slips.besides
     x, s, a = samples.x - datum, np.maximum(samples.s - d, 0.0), samples.a
-    one = np.ones_like(x)
+    ones = np.ones_like(x)
     shape, shift = 0.0, 0.0
     if curve == LINEAR:
-        (K, F, G, *_), _ = _solve(np.c_[-x, one, -s, besides], a)
+        (K, F, G, *_), _ = _solve(np.c_[-x, ones, -s, besides], a)
         shape = float(np.clip(G / F if F > 0 else np.inf, 1e-3 / v_dr, STEEPEST_LINE / float(s.max())))
         (K, F, *size), _ = _solve(np.c_[-x, 1 - shape * s, besides], a)
     elif curve == HYPERBOLIC:
@@ -205,19 +206,19 @@ def _curve(
         size = [0.0]
         for gamma in np.geomspace(0.03, 300, 41) / v_dr:
             columns = np.c_[-x, 1 / (1 + gamma * s), besides]
-            found, error = _solve(np.c_[columns, one] if loose else columns, a)
-            if not (found[0] > 0 and found[1] > 0):
+            solution, error = _solve(np.c_[columns, ones] if loose else columns, a)
+            if not (solution[0] > 0 and solution[1] > 0):
                 continue
-            own = found[2 : 2 + besides.shape[1]]
-            level = found[1] + (found[-1] if loose else 0.0) + float(np.sum(own * slips.while_stuck))
-            beyond = datum + level / found[0] > slips.x_slip
+            drag = solution[2 : 2 + besides.shape[1]]
+            level = solution[1] + (solution[-1] if loose else 0.0) + float(np.sum(drag * slips.while_stuck))
+            beyond = datum + level / solution[0] > slips.x_slip
             if beyond and best < np.inf:  # the smallest gamma is kept if all are
                 break
             if error < best:
-                best, K, F, shape, size = error, float(found[0]), float(found[1]), float(gamma), list(own)
-                shift = float(found[-1]) / K if loose else 0.0
+                best, K, F, shape, size = error, float(solution[0]), float(solution[1]), float(gamma), list(drag)
+                shift = float(solution[-1]) / K if loose else 0.0
     else:
-        (K, F, *size), _ = _solve(np.c_[-x, one, besides], a)
+        (K, F, *size), _ = _solve(np.c_[-x, ones, besides], a)
     if not (K > 0 and F > 0 and math.isfinite(K + F)):
         # A regression pulled to nonsense by a wrong curve: take the spring from the largest deceleration instead.
         K = float(np.max(np.abs(a)) / max(np.ptp(x), 1e-12))
@@ -234,22 +235,22 @@ def _rest_by_scatter(motion: MeasuredMotion, cut: CycleSegmentation, otherwise: 
     """
     rows = []
     for cycle in cut.used:
-        one = slip_samples(motion, replace(cut, cycles=(cycle,)))
-        if one.x.size > 20:
-            (K, p, q), _ = _solve(np.c_[-one.x, np.ones_like(one.x), -one.s], one.a)
+        slips = slip_samples(motion, replace(cut, cycles=(cycle,)))
+        if slips.x.size > 20:
+            (K, p, q), _ = _solve(np.c_[-slips.x, np.ones_like(slips.x), -slips.s], slips.a)
             if K > 0 and q > 0:
                 rows.append((K, p, q))
     if len(rows) < 3:
         return otherwise
     K, p, q = np.array(rows).T
     # both have errors: the slope is the ratio of their spreads
-    found = float((np.mean(p) - np.std(p) / max(float(np.std(q)), 1e-300) * np.mean(q)) / np.mean(K))
-    return found if abs(found - otherwise) < 2 * motion.travel else otherwise
+    rest = float((np.mean(p) - np.std(p) / max(float(np.std(q)), 1e-300) * np.mean(q)) / np.mean(K))
+    return rest if abs(rest - otherwise) < 2 * motion.travel else otherwise
 
 
 def _solve(matrix: Array, target: Array) -> tuple[Array, float]:
-    found, residual = least_squares(matrix, target)
-    return found, float(np.sum(residual**2))
+    solution, residual = least_squares(matrix, target)
+    return solution, float(np.sum(residual**2))
 
 
 # Samples a slip of a thinned record, on which searches and scans run, as residuals are correlated over many samples: at
@@ -274,7 +275,7 @@ NARROWEST_RAMP = 1e-6  # width over the belt's speed: no fit makes a ramp narrow
 HELD_SD = 1e-6  # standard deviation of an unknown that is held, over its size
 
 
-class GivenUnknown(NamedTuple):
+class UserValue(NamedTuple):
     """The user's bounds, equal where it is fixed, and first value of a shared unknown."""
 
     slot: Global
@@ -290,7 +291,7 @@ class Run:
     motion: MeasuredMotion
     cut: CycleSegmentation
     ripple: Ripple | None = None
-    given: Mapping[str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
+    user_values: Mapping[str, tuple[UserValue, ...]] = field(default_factory=dict)
 
     @cached_property
     def windows(self) -> ShootingWindows:
@@ -319,7 +320,7 @@ class EstimationProblem:
         """
         kind = law.kind
         motions = tuple(run.motion for run in runs)
-        first, _ = _regressed(kind, runs)
+        first, _ = _regress_runs(kind, runs)
         K, first_shape = first[0].K, first[0].shape
         omega = math.sqrt(K)
         damping = damping_calibration(motions[0], K)
@@ -330,30 +331,30 @@ class EstimationProblem:
         start, lower, upper, prior, precision = np.zeros((5, len(runs), PER_RUN))
         lower[:], upper[:] = -np.inf, np.inf
         upper[:, Global.SHAPE] = steepest
-        for r, (run, own) in enumerate(zip(runs, first, strict=True)):
+        for r, (run, regression) in enumerate(zip(runs, first, strict=True)):
             motion, ripple, v = run.motion, run.ripple, run.motion.belt_speed
             datum, belt, compliance = rest_calibration(run), motion.belt_prior, motion.compliance
             # Constant friction determines only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
-            known = {
+            calibrations = {
                 Global.DATUM: (datum.value, _precision(datum_sd, 1e-6 * motion.travel)),
                 Global.DAMPING: (damping.value, _precision(damping.sd, 1e-6 * omega)),
             }
-            begin = own._replace(shape=min(first_shape, steepest), damping=damping.value)
+            begin = regression._replace(shape=min(first_shape, steepest), damping=damping.value)
             if belt is not None and belt.sd > 0:
-                known[Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
+                calibrations[Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
             if kind.curve == "constant" and not run.cut.shows_belt:  # slips do not depend on them
-                known[Global.D] = 0.0, v**-2
-                known.setdefault(Global.V_DR, (v, v**-2))
+                calibrations[Global.D] = 0.0, v**-2
+                calibrations.setdefault(Global.V_DR, (v, v**-2))
             if compliance is not None:
                 begin = begin._replace(compliance=compliance.value)
-                known[Global.COMPLIANCE] = compliance.value, _precision(compliance.sd, 0.0)
+                calibrations[Global.COMPLIANCE] = compliance.value, _precision(compliance.sd, 0.0)
             if ripple is not None:
                 begin = begin._replace(cosine=ripple.cosine, sine=ripple.sine, omega=ripple.omega)
                 spread = (RIPPLE_AMPLITUDE_SD * ripple.amplitude) ** -2
-                known[Global.COSINE], known[Global.SINE] = (ripple.cosine, spread), (ripple.sine, spread)
-                known[Global.OMEGA] = ripple.omega, (RIPPLE_FREQUENCY_SD * 2 * math.pi / ripple.seen_s) ** -2
-            for slot, (value, weight) in known.items():
+                calibrations[Global.COSINE], calibrations[Global.SINE] = (ripple.cosine, spread), (ripple.sine, spread)
+                calibrations[Global.OMEGA] = ripple.omega, (RIPPLE_FREQUENCY_SD * 2 * math.pi / ripple.seen_s) ** -2
+            for slot, (value, weight) in calibrations.items():
                 prior[r, slot], precision[r, slot] = value, weight
             start[r] = unknowns.to_array(begin)
             lowest = start[r, Global.LOG_F] - LARGEST_LOG_DROP
@@ -372,25 +373,25 @@ class EstimationProblem:
             upper=upper.ravel(),
             prior=prior.ravel(),
             precision=precision.ravel(),
-        ).with_given()
+        ).with_user_values()
 
-    def with_given(self) -> "EstimationProblem":
+    def with_user_values(self) -> "EstimationProblem":
         """Return the problem with the user's values of its law's shared unknowns."""
-        if not any(run.given.get(self.law.name) for run in self.runs):
+        if not any(run.user_values.get(self.law.name) for run in self.runs):
             return self
         start, lower, upper, prior, precision = (
-            own.copy() for own in (self.start, self.lower, self.upper, self.prior, self.precision)
+            array.copy() for array in (self.start, self.lower, self.upper, self.prior, self.precision)
         )
-        for run, own in enumerate(self.runs):
-            sizes = _sizes(own.motion, float(self.start[PER_RUN * run + Global.K]))
-            for given in own.given.get(self.law.name, ()):
-                at = PER_RUN * run + given.slot
-                lower[at], upper[at] = max(lower[at], given.low), min(upper[at], given.high)
-                first = start[at] if given.start is None else given.start
-                if given.low == given.high:
-                    lower[at] = upper[at] = first = prior[at] = given.low
-                    precision[at] = (HELD_SD * sizes[given.slot]) ** -2.0
-                start[at] = min(max(first, lower[at]), upper[at])
+        for number, run in enumerate(self.runs):
+            sizes = _sizes(run.motion, float(self.start[PER_RUN * number + Global.K]))
+            for value in run.user_values.get(self.law.name, ()):
+                place = PER_RUN * number + value.slot
+                lower[place], upper[place] = max(lower[place], value.low), min(upper[place], value.high)
+                first = start[place] if value.start is None else value.start
+                if value.low == value.high:
+                    lower[place] = upper[place] = first = prior[place] = value.low
+                    precision[place] = (HELD_SD * sizes[value.slot]) ** -2.0
+                start[place] = min(max(first, lower[place]), upper[place])
         return replace(self, start=start, lower=lower, upper=upper, prior=prior, precision=precision)
 
     @property
@@ -412,10 +413,10 @@ class EstimationProblem:
 
     def start_with_drag(self, drag: Callable[[Array], Array]) -> tuple[Array, float]:
         """Return other starting values (13 runs,), regressed together with a drag, and its size."""
-        first, size = _regressed(self.law.kind, self.runs, drag)
+        first, size = _regress_runs(self.law.kind, self.runs, drag)
         start = self.start.copy()
-        for own, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
-            own[: Global.DATUM + 1] = unknowns.to_array(p)[: Global.DATUM + 1]
+        for unknowns_of_run, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
+            unknowns_of_run[: Global.DATUM + 1] = unknowns.to_array(p)[: Global.DATUM + 1]
         return np.clip(start, self.lower, self.upper), size
 
     def start_near(self, other: Law, u: Array) -> Array:
@@ -423,16 +424,16 @@ class EstimationProblem:
 
         A new ramp is almost closed; another curve has the same friction at two slip speeds.
         """
-        start, own, near = u.copy(), self.law.kind, other.kind
-        if own.ramp and not near.ramp:
+        start, kind, other_kind = u.copy(), self.law.kind, other.kind
+        if kind.ramp and not other_kind.ramp:
             start[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in self.motions)
             start[Global.STATIC :: PER_RUN] = 1.0
-        elif near.ramp and not own.ramp:
+        elif other_kind.ramp and not kind.ramp:
             start[Global.D :: PER_RUN], start[Global.STATIC :: PER_RUN] = self.start[Global.D :: PER_RUN], 1.0
-        if own.curve_code != near.curve_code:
+        if kind.curve_code != other_kind.curve_code:
             fastest = max(float(np.max(motion.belt_speed - motion.velocity)) for motion in self.motions)
             p = unknowns.values(u[:PER_RUN])
-            F, shape = matched_curve(own.curve_code, near.curve_code, p.F, p.shape, fastest)
+            F, shape = matched_curve(kind.curve_code, other_kind.curve_code, p.F, p.shape, fastest)
             start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
         return np.where(self.held, self.start, start)
 
@@ -442,14 +443,14 @@ class EstimationProblem:
             return ShootingWindows.join([run.windows for run in self.runs])
         return ShootingWindows.join(
             [
-                ShootingWindows.from_cycles(run.motion, run.cut.used, own)
-                for run, own in zip(self.runs, self.thinning, strict=True)
+                ShootingWindows.from_cycles(run.motion, run.cut.used, thinning)
+                for run, thinning in zip(self.runs, self.thinning, strict=True)
             ]
         )
 
     @property
     def thinning(self) -> list[Thinning]:
-        return [thinned_to(run) for run in self.runs]
+        return [choose_thinning(run) for run in self.runs]
 
     @property
     def ramp(self) -> bool:
@@ -473,19 +474,21 @@ class EstimationProblem:
         return tuple(cycle for run in self.runs for cycle in run.cut.used)
 
 
-def _regressed(
+def _regress_runs(
     kind: Kind, runs: Sequence[Run], drag: Callable[[Array], Array] | None = None
 ) -> tuple[list[unknowns.Values], float]:
     """Return each run's regression, with the medians of the contact, and the median size of a drag."""
-    found = [
+    regressions = [
         regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), rest_calibration(run), drag)
         for run in runs
     ]
-    contact = {name: float(np.median([getattr(own, name) for own, _ in found])) for name in ("K", "F", "shape", "d")}
-    return [own._replace(**contact) for own, _ in found], float(np.median([size for _, size in found]))
+    contact = {
+        name: float(np.median([getattr(start, name) for start, _ in regressions])) for name in ("K", "F", "shape", "d")
+    }
+    return [start._replace(**contact) for start, _ in regressions], float(np.median([size for _, size in regressions]))
 
 
-def thinned_to(run: Run) -> Thinning:
+def choose_thinning(run: Run) -> Thinning:
     """Return the thinning of a run: `COARSE_SAMPLES` a slip, also in a stick unless its belt ripples."""
     motion = run.motion
     stride = max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE_SAMPLES))
@@ -509,11 +512,11 @@ def rest_calibration(run: Run, sd: float = REST_SD) -> Measured:
 
 def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
     """Return c/m, 1/s: from the ring-down, or 0 +- a hundredth of the critical damping."""
-    known = motion.damping_prior
+    stated = motion.damping_prior
     mass = motion.mass.value if motion.mass else motion.stiffness.value / K if motion.stiffness else None
-    if known is None or mass is None:
+    if stated is None or mass is None:
         return Measured(0.0, DEFAULT_DAMPING_SD * 2 * math.sqrt(K))
-    return Measured(known.value / mass, known.sd / mass)
+    return Measured(stated.value / mass, stated.sd / mass)
 
 
 def _sizes(motion: MeasuredMotion, K: float) -> dict[Global, float]:

@@ -83,7 +83,7 @@ def tangents(
 def integrate(
     first_step: Integers,
     table: Integers,
-    own: Array,
+    stiffness: Array,
     steps: Integers,
     jumps: Array,
     mode: Integers,
@@ -101,13 +101,13 @@ def integrate(
 ) -> None:
     """Integrate all columns through all windows; fill ``out`` (N, k).  ``room`` (6, k) is scratch space.
 
-    ``own`` (windows,) is K of each window's run, 1/s^2; ``acceleration`` (k, M) is contiguous.
+    ``stiffness`` (windows,) is K of each window's run, 1/s^2; ``acceleration`` (k, M) is contiguous.
     """
     k = out.shape[1]
     x, v = room[0], room[1]
     g0, gm, g1, late = room[2], room[3], room[4], room[5]
     for row in range(table.shape[0]):
-        K = own[row]
+        K = stiffness[row]
         first = table[row, 2]
         for j in range(k):
             x[j], v[j] = start_x[row, j], start_v[row, j]
@@ -285,10 +285,10 @@ def _by_width(path: Path) -> Array:
     """Return the effect of the ramp's half-width d on the acceleration at fixed relative speed, 1/s, (M,)."""
     d, q, at_rest = _contact(path)
     ramp = ~path.slips & (path.mode != STICK)
-    found = np.where(path.slips, -path.side * path.friction_slope, 0.0)
+    effect = np.where(path.slips, -path.side * path.friction_slope, 0.0)
     width = np.broadcast_to(np.maximum(d + q * at_rest, 1e-300), ramp.shape)
-    found[ramp] = -path.friction[ramp] / width[ramp]
-    return found
+    effect[ramp] = -path.friction[ramp] / width[ramp]
+    return effect
 
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:

@@ -16,7 +16,7 @@ from fitting.model.path import Curve, FrictionSpline, Path, positions
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import NUISANCE, PER_RUN, Global, PerCycle
-from fitting.model.windows import ShootingWindows, Wear, level_trend, of_cycles
+from fitting.model.windows import ShootingWindows, Wear, fit_wear, level_trend
 from fitting.record.cycles import Cycle
 from stickslip.compute.arrays import Array, Mask, autocorrelation_time
 from stickslip.units import Measured
@@ -297,7 +297,7 @@ class Fit:
         return self.model.loop(self.windows, self.q, self.local, self.run, cycle)
 
     def level_trend(self, run: int = 0) -> Wear | None:
-        return of_cycles(self.windows, self.inlier_cycles, self.local, run)
+        return fit_wear(self.windows, self.inlier_cycles, self.local, run)
 
     def for_run(self, run: int) -> "Fit":
         """Return the cycles, residuals and unknowns of one run; the solution stays that of all."""

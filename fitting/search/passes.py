@@ -114,7 +114,7 @@ def settle(fit: Fit, noise_m: Array | None = None) -> Fit | None:
 
 
 def _repeat_pass(fit: Fit) -> Fit | None:
-    model = fit.task.predict(fit.windows, flow.SEARCH_STEP, fit.model.near)
+    model = fit.task.predict(fit.windows, flow.SEARCH_STEP, fit.model.earlier_path)
     return _run_pass(model, FitStart(fit.q, restart_outliers(fit)), fit.noise, SEARCH, LATER_DAMPING)
 
 
@@ -188,7 +188,7 @@ def finish(fit: Fit, noise_m: Array | None = None) -> Fit | None:
     fit = _update_noise(faded, first=False)
     if noise_m is not None:
         fit = replace(fit, noise=replace(fit.noise, sigma=noise_m))
-    finished = finish_from(fit.task, FitStart(fit.q, restart_outliers(fit)), fit.noise, fit.model.near)
+    finished = finish_from(fit.task, FitStart(fit.q, restart_outliers(fit)), fit.noise, fit.model.earlier_path)
     return None if finished is None else replace(finished, cpu_s=spent + clock.process_time() - begun)
 
 
@@ -224,14 +224,14 @@ def _fit_every_sample(
     if residual_of_samples is None or residual_of_nodes is None:
         return None
     measured_nodes = nodes.with_mean_residuals(residual_of_nodes + nodes.windows.position, residual_of_samples)
-    path = None if model_of_nodes.near is None else replace(model_of_nodes.near, windows=measured_nodes)
+    path = None if model_of_nodes.earlier_path is None else replace(model_of_nodes.earlier_path, windows=measured_nodes)
     model_at_nodes = task.predict(measured_nodes, flow.LONGEST_STEP, path, nodes.count)
     last = _run_pass(model_at_nodes, start, noise, WHOLE, LATER_DAMPING, below_belt=below_belt)
     if last is None:
         return None
     model.settle(*last.start, FOLLOWED)
     problem = least_squares_problem(model, noise, last.q, below_belt=below_belt)
-    solution = levenberg_marquardt.last_step(problem, last.solution)
+    solution = levenberg_marquardt.take_last_step(problem, last.solution)
     if solution is None:
         return None
     return Fit(model, solution.u, solution.local, solution.residual, settled, problem, solution, every_sample=True)
@@ -326,7 +326,7 @@ def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_bel
     u[index] = q[:p]
     return LeastSquaresProblem(
         evaluate=model.evaluate,
-        some=None if model.along else model.some,
+        evaluate_cycles=None if model.along else model.evaluate_cycles,
         rows=windows.rows,
         weights=noise.weights / noise.sigma[windows.run] ** 2,
         lower=lower,
@@ -358,7 +358,7 @@ def find_overtaking(fit: Fit) -> Mask:
     if refit is not None:
         run = fit.windows.run
         usual = np.array([np.median(fit.cycle_rms[run == number]) for number in run[cycles]]) ** 2
-        excess = windows.some(cycles).rms(refit.residual) ** 2 - usual
+        excess = windows.of_cycles(cycles).rms(refit.residual) ** 2 - usual
         overtaking[cycles] = excess < OVERTAKING_EXCESS * (fit.cycle_rms[cycles] ** 2 - usual)
     return overtaking
 

@@ -12,7 +12,7 @@ from fitting.judge.library import DEPARTURES
 from fitting.laws import SIX
 from fitting.model.flow import LONGEST_STEP
 from fitting.model.forces import Force
-from fitting.model.predict import Model, curve_knots, free_curve_task, law_task, regressed_curve
+from fitting.model.predict import Model, curve_knots, free_curve_task, law_task, regress_curve
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_CYCLE, Global, PerCycle
 from fitting.search import exchange
@@ -203,11 +203,11 @@ def test_derivatives_are_differences_of_the_residuals(runs_of, free, force):
     if free:
         problem, knots = EstimationProblem.build(SIX[5], runs), curve_knots(runs, 0.0)
         start = problem.start.copy()
-        start[Global.K], coefficients = regressed_curve(runs, start, knots, 0.0)
+        start[Global.K], coefficients = regress_curve(runs, start, knots, 0.0)
         task = replace(free_curve_task(problem, knots, start, coefficients), forces=forces)
     else:
         task = law_task(SIX[5], runs, forces)
-    windows = task.problem.windows(thinned=True).some(np.arange(3))
+    windows = task.problem.windows(thinned=True).of_cycles(np.arange(3))
     model = Model(task, windows, LONGEST_STEP)
     q, local = start_from_regression(task)
     local = local[:3]
