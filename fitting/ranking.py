@@ -38,7 +38,7 @@ def rank(
         options.check_joint()
     runs = _cut(records, rigs, options)
 
-    def describe_separately(records: Sequence[Kinematics], runs: Sequence[Run]) -> Mapping[int | str, LawParameters]:
+    def list_describing_laws(records: Sequence[Kinematics], runs: Sequence[Run]) -> Mapping[int | str, LawParameters]:
         """Return the laws that describe other runs, best first, with their parameters of each run."""
         try:
             return answer.describing(_compete(options, records, runs), options)
@@ -46,27 +46,29 @@ def rank(
             return {}
 
     def refit(free: Sequence[Run]) -> Sequence[LawParameters]:
-        return list(describe_separately(records, free).values())
+        return list(list_describing_laws(records, free).values())
 
     try:
         competition = _compete(options, records, runs, progress, memory=True)
     except law_fits.NoLawError as refused:
-        contradicted = find_contradictions([], runs, records, refit)
+        contradictions = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
-            return answer.without_law(refused.reason, contradicted, options, runs, records, begun)
-        raise screening.refusal(refused.reason, contradicted, runs, records) from None
+            return answer.without_law(refused.reason, contradictions, options, runs, records, begun)
+        raise screening.refusal(refused.reason, contradictions, runs, records) from None
     other_contact = None
     if len(runs) > 1 and (competition.runs_differ or not competition.described):
-        alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
+        laws_of_runs: list[Mapping[int | str, Mapping[str, Parameter]]] = []
         for record, run in zip(records, competition.runs, strict=True):
-            alone.append({law: parameters[0] for law, parameters in describe_separately([record], [run]).items()})
-        other_contact = find_other_contact(alone)
+            laws_of_runs.append(
+                {law: parameters[0] for law, parameters in list_describing_laws([record], [run]).items()}
+            )
+        other_contact = find_other_contact(laws_of_runs)
     if other_contact is not None:
         competition = competition.undescribed
-    contradicted = [[] for _ in runs]
+    contradictions = [[] for _ in runs]
     if other_contact is None:  # otherwise each run was described with its calibrations
-        described = list(answer.describing(competition, options).values())
-        contradicted = find_contradictions(described, competition.runs, records, refit)
+        describing_laws = list(answer.describing(competition, options).values())
+        contradictions = find_contradictions(describing_laws, competition.runs, records, refit)
     adequacies = assess(
         competition.fits,
         competition.judged[competition.best.law],
@@ -77,13 +79,13 @@ def rank(
         len(options.competitors.six),
         _revolution(records),
         rejected=not competition.described,
-        explain=other_contact is None and not any(contradicted),
+        explain=other_contact is None and not any(contradictions),
     )
     for fit in competition.fits:
         member = "in the set" if fit.law in competition.members else "not in the set"
         logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law.name, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     logger.info("goodness of fit: %s", adequacies[0].said)
-    return answer.build_ranking(competition, options, records, adequacies, contradicted, other_contact, begun)
+    return answer.build_ranking(competition, options, records, adequacies, contradictions, other_contact, begun)
 
 
 def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -> list[Run]:
@@ -127,7 +129,7 @@ def _compete(
         reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, requested in missing if requested)
         sources = ", ".join(record.recording.where for record in records)
         raise DataError(f"none of the requested laws can be fitted ({reasons})", sources, "add laws, as --laws 1-6")
-    judge = partial(compete, noise=nearest.noise, known=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
+    judge = partial(compete, noise=nearest.noise, nearest=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
     competition = judge(fits)
     if memory and sustained and not competition.described:
         with_memory = judge([*fits, *fit_memory_laws(competitors, runs, six, nearest.noise)])

@@ -153,10 +153,10 @@ def linearise_spline_fit(fit: Fit) -> LinearisedFit:
     precision = linear.priors.precision.copy()
     precision[datum, datum] = 1 / rest.sd**2
 
-    def move(part: Array) -> Array:
-        part = part.copy()
-        part[:, datum] = -np.einsum("ij,j->i", part[:, : moves.size], moves)
-        return part
+    def move(jacobian: Array) -> Array:
+        jacobian = jacobian.copy()
+        jacobian[:, datum] = -np.einsum("ij,j->i", jacobian[:, : moves.size], moves)
+        return jacobian
 
     return linear.transform(move, linear.priors._replace(precision=precision))
 

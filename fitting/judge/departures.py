@@ -62,7 +62,7 @@ class FittedDeparture:
     def as_json(self) -> dict[str, Any]:
         names = ("name", "sigmas", "parameter", "value", "stderr", "unit", "text", "explained", "refitted", "law")
         row = {name: getattr(self, name) for name in names}
-        row["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
+        row["parameters"] = {name: parameter.as_json() for name, parameter in self.parameters.items()}
         if self.scale is not None:
             row["scale"] = vars(self.scale)
         return row

@@ -256,9 +256,9 @@ def runs_differ(fits: Sequence[Fit], best: Array, runs: Sequence[Run], units: Un
 def _fit_alone(joint: Fit, number: int, run: Run) -> Fit | None:
     """Fit one run, with a joint fit as warm start."""
     task, cycles = law_task(joint.law, [run]), joint.windows.run == number
-    unknowns_of_run = joint.u[PER_RUN * number : PER_RUN * (number + 1)]
+    u_of_run = joint.u[PER_RUN * number : PER_RUN * (number + 1)]
     noise = replace(joint.noise.without_fade, sigma=joint.noise.sigma[[number]], weights=joint.noise.weights[cycles])
-    return fit_from_start(task, FitStart(unknowns_of_run[list(task.places)], joint.local[cycles]), noise)
+    return fit_from_start(task, FitStart(u_of_run[list(task.places)], joint.local[cycles]), noise)
 
 
 WIDEST_BELT_LOSS = 0.03  # largest speed that a belt loses under the load Fs, over its speed

@@ -110,7 +110,7 @@ def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
     run, slot = divmod(place, PER_RUN)
-    given = problem.motions[run].datum_prior is not None or problem.held[place]
+    given = problem.motions[run].datum_prior is not None or problem.fixed[place]
     return slot == Global.DATUM and not given
 
 
@@ -131,7 +131,7 @@ def _problem(curve: FormulaCurve, host: Fit) -> EstimationProblem:
         return own
     changed = {name: getattr(own, name).copy() for name in ("start", "prior", "precision", "lower", "upper")}
     for place in range(Global.DATUM, own.start.size, PER_RUN):
-        if not own.held[place]:
+        if not own.fixed[place]:
             for name, values in changed.items():
                 values[place] = getattr(host.problem, name)[place]
     return replace(own, **changed)

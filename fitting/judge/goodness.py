@@ -502,7 +502,7 @@ def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSli
         [sums for run in slips for sums in (run.bins.sums(response, block), run.bins.sums(response**2, block))]
         for block, response in linearised.refit(waves)
     ]
-    sums = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    sums = [np.concatenate(blocks) for blocks in zip(*parts, strict=True)]
     return tuple(_median_percent(run, sums[2 * k], sums[2 * k + 1]) for k, run in enumerate(slips))
 
 

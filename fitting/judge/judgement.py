@@ -63,7 +63,7 @@ class Competition:
 
 
 def compete(
-    fits: Sequence[Fit], noise: Array, known: LawJudgement, runs: Sequence[Run], alpha: float, *, sustained: bool
+    fits: Sequence[Fit], noise: Array, nearest: LawJudgement, runs: Sequence[Run], alpha: float, *, sustained: bool
 ) -> Competition:
     """Compare all laws; the set contains only laws that describe the record.
 
@@ -82,7 +82,7 @@ def compete(
             by_law[fit.law], errors[fit.law], penalised[fit.law] = fit, errors_of_fit, penalised_errors
     misfit = {law: _misfit(fit, units, noise) for law, fit in by_law.items()}
     motions, largest = [run.motion for run in runs], float(np.max(noise))
-    seen = {known.fit.law: known} if known.fit is by_law.get(known.fit.law) else {}
+    seen = {nearest.fit.law: nearest} if nearest.fit is by_law.get(nearest.fit.law) else {}
     judged = judge_near_laws(list(by_law.values()), motions, largest, seen)
     rejected = [law for law, fit in judged.items() if fit.joint.rejected]
     # a law does not describe the record if a rejected law, in which it is nested, fits better

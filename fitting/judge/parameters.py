@@ -351,10 +351,12 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     spread = np.einsum("ri,ij,sj->rs", slopes, upper_bound(*constraints.covariances), slopes) + np.outer(
         lengths, lengths
     )
-    shown = np.diag(spread) > 0
-    error = np.sqrt(np.diag(spread)[shown])
-    matrix = np.clip(spread[np.ix_(shown, shown)] / np.outer(error, error), -1.0, 1.0)
-    return Correlations(tuple(row.name for row, is_shown in zip(rows, shown, strict=True) if is_shown), matrix)
+    determined = np.diag(spread) > 0
+    error = np.sqrt(np.diag(spread)[determined])
+    matrix = np.clip(spread[np.ix_(determined, determined)] / np.outer(error, error), -1.0, 1.0)
+    return Correlations(
+        tuple(row.name for row, is_determined in zip(rows, determined, strict=True) if is_determined), matrix
+    )
 
 
 def _independent_rows(fit: Fit, motion: MeasuredMotion, constraints: "Constraints") -> list[Derived]:

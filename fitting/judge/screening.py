@@ -310,8 +310,8 @@ def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained
 
 
 def _select_cycles(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    places = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
-    return tuple(cycles[place] for place in places)
+    indices = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
+    return tuple(cycles[index] for index in indices)
 
 
 def list_near(fits: Sequence[Fit], runs: Sequence[Run]) -> list[Fit]:

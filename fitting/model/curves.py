@@ -1,11 +1,11 @@
-"""The friction of a fit: one of the six laws, or a curve followed through a spline.
+"""The friction of a fit: one of the six laws, or a curve given by a spline.
 
-A curve has ``size`` parameters theta, with bounds and priors; ``beside`` are the shared unknowns fitted with it.
+A curve has ``size`` parameters theta, with bounds and priors; ``shared`` are the shared unknowns fitted with it.
 
-A free curve's theta are second differences of its coefficients and the two ends: in them its prior, a second
-difference of the order of half the friction, is independent, and Levenberg-Marquardt needs no other form of a prior.
-The data determine K datum + friction only, so these are coordinates of a curve that follows the datum: a datum's
-remaining effect is then a small number, not the difference of two large ones.
+A free curve's theta are the second differences of its coefficients, and its two ends.  In these coordinates the prior,
+a second difference of the order of half the friction, is independent for each, as Levenberg-Marquardt needs it.  The
+data determine only K datum + friction, so the curve is defined relative to the datum: the remaining effect of the datum
+is then a small number, not the difference of two large ones.
 """
 
 from abc import ABC, abstractmethod
@@ -27,12 +27,12 @@ BEND_SD = 0.5  # standard deviation of a second difference, over the middle coef
 
 @dataclass(frozen=True, eq=False)
 class CurveCoordinates:
-    """The map from n - 2 second differences and two end coefficients, each over its size, to coefficients."""
+    """The map from n - 2 second differences and two end coefficients, in units of their sizes, to coefficients."""
 
     matrix: Array  # (n, n) coefficients (m/s^2) by coordinates
     inverse: Array  # (n, n) coordinates by coefficients
     precision: Array  # (n,) of the coordinates' priors: 1, and 0 for the ends
-    offset: Array  # (p,) how the whole curve moves with each of the unknowns beside it, and where these are at offset 0
+    offset: Array  # (p,) how the whole curve moves with each of the shared unknowns, and their values at offset 0
     start: Array
 
     @classmethod
@@ -62,7 +62,7 @@ class CurveCoordinates:
         return np.asarray(np.einsum("ij,j->i", self.matrix, theta) + shift)
 
     def unknowns(self, shared: Array, coefficients: Array) -> Array:
-        """Return all unknowns (p + n,) from those beside the curve and its coefficients."""
+        """Return all unknowns (p + n,) from the shared ones and the curve's coefficients."""
         shift = float(np.sum(self.offset * (shared - self.start)))
         return np.concatenate((shared, np.einsum("ij,j->i", self.inverse, coefficients - shift)))
 
@@ -71,7 +71,7 @@ class FrictionCurve(ABC):
     law: Law | None = None  # none of a free curve
     free: tuple[str, ...] = ()  # the names of theta
     by_log: Array = np.empty(0)  # which of them are fitted by their logarithm
-    together: tuple[Undetermined, ...] = ()  # parameters that a formula has only together
+    together: tuple[Undetermined, ...] = ()  # groups of confounded parameters of a formula
     kind = ""  # "constant", "linear", "hyperbolic" of the six that their own kernels follow
     model: "type | None" = None  # that of `fitting.model.predict` which predicts its positions; None for `Model`
     ramp: bool  # whether slip begins beyond a ramp of half-width d, a shared unknown
@@ -100,7 +100,7 @@ class FrictionCurve(ABC):
         return {}
 
     def is_ramp_of(self, other: "FrictionCurve") -> bool:
-        """Return whether this is the other curve with a ramp, and so contains it."""
+        """Return whether this is the other curve with a ramp, so that the other is nested in it."""
         return self.law is not None and other.law is not None and self.law.is_ramp_of(other.law)
 
     def contains(self, other: "FrictionCurve") -> bool:

@@ -1,4 +1,4 @@
-"""Tasks (what is fitted to which runs, for a law or a free curve), and the positions and derivatives they predict."""
+"""Tasks (a law or a free curve to be fitted to runs), and the positions and derivatives that they predict."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,8 +25,8 @@ PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where fr
 FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
 # Weight of a second difference of a regressed curve's coefficients, over a slip sample's times the root of their count.
 SMOOTHNESS = 0.03
-LOW_SPEED = 0.06  # speed over the last knot's: regressed slips show little below
-OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve of its own has no use for
+LOW_SPEED = 0.06  # speed over the last knot's, below which smoothed slips constrain the curve poorly
+OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a free curve does not use
 
 
 class FitStart(NamedTuple):
@@ -43,7 +43,7 @@ class Task:
     problem: EstimationProblem  # the runs, with the priors, bounds and start of the shared unknowns
     curve: FrictionCurve
     places: tuple[int, ...]  # which shared unknowns are free (`fitting.model.unknowns`)
-    forces: tuple[Force, ...] = ()  # what acts besides
+    forces: tuple[Force, ...] = ()  # departures that act in addition
 
     @property
     def widths(self) -> tuple[int, int, int]:
@@ -57,7 +57,7 @@ class Task:
         return unknowns.copy_shared(u), q[p : p + n], q[p + n :]
 
     def without(self, *slots: Global) -> "Task":
-        """Return the same with shared unknowns fixed at the regression."""
+        """Return the task with shared unknowns fixed at the regression."""
         return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
 
     def predict(
@@ -111,7 +111,7 @@ def curve_knots(runs: Sequence[Run], d: float) -> Array:
 def regress(
     runs: Sequence[Run], rest: float, columns: Callable[[Array], Array], prior_rows: Array | None = None
 ) -> tuple[Array, float]:
-    """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squares left.
+    """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squared error.
 
     ``prior_rows`` (r, n) are rows of c with prior 0.
     """
@@ -139,9 +139,9 @@ def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coeffici
 
 
 def regress_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
-    """Return K and the coefficients of a free curve by regression of the smoothed slips; None if absurd.
+    """Return K and the coefficients of a free curve from regression of the smoothed slips; None if not physical.
 
-    At low speed, where slips show little, the curve begins with the load at the break-aways.
+    At low speed, where slips constrain the curve poorly, it begins with the load at the break-aways.
     """
     spline = FrictionSpline.over(knots)
     prior_rows = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)
@@ -160,7 +160,7 @@ def regress_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> 
 
 
 class Model:
-    """A task's predictions; a force by velocity acts along the motion itself, others along an earlier path, `near`."""
+    """A task's predictions; a force by velocity acts along the motion itself, others along the `earlier_path`."""
 
     def __init__(
         self,
@@ -201,8 +201,8 @@ class Model:
     def motion_in(self, windows: ShootingWindows, q: Array, local: Array, run: int | None) -> Array | None:
         """Return positions, m, and velocities, m/s, (2, N) in windows of all runs, or of one."""
         u, theta, _ = self.task.split(q)
-        curve, unknowns_of_run = self._curve(q, theta), u if run is None else u[PER_RUN * run : PER_RUN * (run + 1)]
-        path = None if curve is None else follow(windows, curve, unknowns_of_run, local)
+        curve, u_of_run = self._curve(q, theta), u if run is None else u[PER_RUN * run : PER_RUN * (run + 1)]
+        path = None if curve is None else follow(windows, curve, u_of_run, local)
         return None if path is None else np.array([path.position, path.velocity])[:, path.reached]
 
     def loop(self, windows: ShootingWindows, q: Array, local: Array, run: int | None, cycle: int) -> Array | None:

@@ -2,10 +2,10 @@
 
     a = -K (x - b) + f(s),   s = v_dr - v > 0,   K = k/m,   f = F/m
 
-Samples within half a smoothing window of a corner are left out: smoothing rounds the corners, and with them in, gamma
-comes out 7 % low at a window of 61 samples and half its value at 201.  Good enough to start from, not to judge by.
+Samples within half a smoothing window of a corner are omitted.  Smoothing rounds the corners: with them, gamma is 7 %
+too low at a window of 61 samples and half its value at 201.  The result is accurate enough for a start only.
 
-The constants of a law's fit: starting values, bounds, and the calibrations as priors.
+The constants of a law's fit are its starting values, its bounds, and the calibrations as priors.
 """
 
 import math
@@ -30,13 +30,13 @@ from rig_sim.friction.law import Law as Kind
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
-LOOSE_REST = 0.05  # error of a rest position over the travel: with a larger one it is also fitted
-STEEPEST_LINE = 0.8  # fall over the level: a linear curve starts with friction left at the fastest slip
-LEAST_SHAPE = 1e-3  # shape times the fastest slip: next to a constant
-BREAK_AWAY_MARGIN = 0.1  # how far beyond the observed break-aways the level at rest may lie, over the travel
+LOOSE_REST = 0.05  # error of a rest position over the travel, above which the rest position is also fitted
+STEEPEST_LINE = 0.8  # largest fall of a linear curve over its level, up to the fastest slip, in a start
+LEAST_SHAPE = 1e-3  # smallest shape times the fastest slip: nearly constant
+BREAK_AWAY_MARGIN = 0.1  # distance over the travel by which the level at rest may exceed the observed break-aways
 OVERTAKING_LEVEL = 0.9  # level over the load at landing: the friction level where the mass overtakes the belt
-LEAST_LEVEL = 0.2  # least of that level, over Fs
-STICK_SLOPE = 0.12  # slips: shortest stretch of stick whose slope is worth a fit
+LEAST_LEVEL = 0.2  # smallest value of that level, over Fs
+STICK_SLOPE = 0.12  # slips: shortest stick whose slope is fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class SlipSamples:
 def slip_samples(motion: MeasuredMotion, cut: CycleSegmentation) -> SlipSamples:
     """Collect the samples of every slip, half a smoothing window away from its corners.
 
-    Where the window is as long as all slips, the middle half.
+    If the window is as long as all slips, collect the middle half.
     """
     s = motion.belt_speed - motion.velocity
     slips = s > 0.02 * motion.belt_speed
@@ -102,7 +102,7 @@ def regress_start(
 ) -> tuple[Values, float]:
     """Regress one law's starting values, and the size of a drag; damping, fade and belt variations are 0.
 
-    A hyperbola determines a poorly known ``datum`` (m) by itself, since it falls towards zero. ``drag`` maps velocities
+    A hyperbola constrains a poorly known ``datum`` (m), since it falls towards zero. ``drag`` maps velocities
     (n,) to the acceleration of a unit, m/s^2.
     """
     samples = slip_samples(motion, cut)
@@ -131,21 +131,21 @@ def cycle_starts(
 ) -> Array:
     """Return starts (cycles, 6) of the cycles' own unknowns at the smoothed motion, for shared ones u (13 runs,).
 
-    Where the mass overtakes the belt, the new level is below the load at landing.
+    If the mass overtakes the belt, the new level is below the load at landing.
     """
     local = windows.starting_values(motions)
     for k, (cycle, run) in enumerate(zip(cycles, windows.run, strict=True)):
         if cycle.overtakes:
-            motion, unknowns_of_run = motions[run], u[PER_RUN * run :]
+            motion, u_of_run = motions[run], u[PER_RUN * run :]
             landing = float(np.interp(cycle.landing, motion.time, motion.position))
-            load = unknowns_of_run[Global.K] * (unknowns_of_run[Global.DATUM] - landing)
-            level = max(OVERTAKING_LEVEL * load / math.exp(unknowns_of_run[Global.LOG_F]), LEAST_LEVEL)
+            load = u_of_run[Global.K] * (u_of_run[Global.DATUM] - landing)
+            level = max(OVERTAKING_LEVEL * load / math.exp(u_of_run[Global.LOG_F]), LEAST_LEVEL)
             local[k, PerCycle.NEXT_LEVEL] = math.log(level)
     return local
 
 
 def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:
-    """Return (F, shape) of a curve that equals another at a quarter and three quarters of ``fastest``, m/s."""
+    """Return (F, shape) of a curve equal to another at a quarter and three quarters of ``fastest``, m/s."""
     s = np.array([0.25, 0.75]) * fastest
     slow, fast = magnitude(other, s, F, shape * F, shape)
     if curve == CONSTANT or not slow > fast > 0:
@@ -191,7 +191,7 @@ class _Slips:
 def _fit_slip_curve(
     slips: _Slips, curve: int, datum: float, d: float, v_dr: float, loose: bool
 ) -> tuple[float, float, float, float, float]:
-    """Return (K, F, shape, datum) of one slip curve and the size of the drag, or the kinematics' if absurd."""
+    """Return (K, F, shape, datum) of a slip curve and the size of the drag, or an estimate if that is not physical."""
     samples, besides = slips.samples, slips.besides
     x, s, a = samples.x - datum, np.maximum(samples.s - d, 0.0), samples.a
     ones = np.ones_like(x)
@@ -212,7 +212,7 @@ def _fit_slip_curve(
             drag = solution[2 : 2 + besides.shape[1]]
             level = solution[1] + (solution[-1] if loose else 0.0) + float(np.sum(drag * slips.while_stuck))
             beyond = datum + level / solution[0] > slips.x_slip
-            if beyond and best < np.inf:  # the smallest gamma is kept if all are
+            if beyond and best < np.inf:  # if all are beyond, the smallest gamma is used
                 break
             if error < best:
                 best, K, F, shape, size = error, float(solution[0]), float(solution[1]), float(gamma), list(drag)
@@ -220,7 +220,7 @@ def _fit_slip_curve(
     else:
         (K, F, *size), _ = _solve(np.c_[-x, ones, besides], a)
     if not (K > 0 and F > 0 and math.isfinite(K + F)):
-        # A regression pulled to nonsense by a wrong curve: take the spring from the largest deceleration instead.
+        # The regression with a wrong curve is not physical: take the spring from the largest deceleration instead.
         K = float(np.max(np.abs(a)) / max(np.ptp(x), 1e-12))
         F = max(K * float(np.max(x)), 1e-3 * float(np.max(np.abs(a))))
         size = [0.0]
@@ -253,26 +253,25 @@ def _solve(matrix: Array, target: Array) -> tuple[Array, float]:
     return solution, float(np.sum(residual**2))
 
 
-# Samples a slip of a thinned record, on which searches and scans run, as residuals are correlated over many samples: at
-# half as many the shortest wavelengths blur, twice as many take twice the time.  A stick, where the mass moves as the
-# belt does, has no more: of one 10 times as long as its slip they took nearly all the time.
+# Samples a slip of a thinned record, used for searches and scans since residuals are correlated over many samples.
+# With half as many the shortest wavelengths blur, twice as many take twice the time.  A stick has no more samples: one
+# 10 times as long as its slip took nearly all the time.
 COARSE_SAMPLES = 62.5
 DEFAULT_DAMPING_SD = 0.01  # standard deviation of the damping over the critical one, when no ring-down was recorded
-LEAST_LINEAR_FRICTION = 0.97  # fall of the linear curve at the fastest slip, over the level, at the most
-RIPPLE_AMPLITUDE_SD = 0.2  # error over the amplitude: how well the sticks show it
-RIPPLE_FREQUENCY_SD = 0.1  # turns in the time in which it was seen: further off lie other minima
-LARGEST_LOG_DROP = 30.0  # log: so far below its first value friction is none, and its exponential still a number
+LEAST_LINEAR_FRICTION = 0.97  # largest fall of the linear curve at the fastest slip, over the level
+RIPPLE_AMPLITUDE_SD = 0.2  # error over the amplitude, as estimated from the sticks
+RIPPLE_FREQUENCY_SD = 0.1  # periods in the time that it was estimated from: further away are other minima
+LARGEST_LOG_DROP = 30.0  # log: below this there is no friction, and the exponential does not underflow
 LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
-# Scatter of the levels' prior over their own, without a datum: the prior would otherwise pull at the datum, as the
-# larger Fs is, the less the levels scatter relative to it.  On camera tracks under 1 mm of noise d of law 4 is 1 to 2
-# standard errors too large; twice the limit halves that, but there, as at 25, some of a ramp's levels run off to
-# another minimum.
+# Scatter of the levels' prior over their scatter, without a datum.  A narrower prior would bias the datum, since a
+# larger Fs makes the relative scatter smaller.  On camera tracks with 1 mm of noise d of law 4 is 1 to 2 standard
+# errors too large.  Twice the limit halves that, but then, as at 25, some levels of a ramp end in another minimum.
 LOOSE_LEVELS = 5.0
-FIRST_RAMP = 1e-4  # width over the belt's speed where a ramp law starts from its jump law
-NARROWEST_RAMP = 1e-6  # width over the belt's speed: no fit makes a ramp narrower
+FIRST_RAMP = 1e-4  # width over the belt's speed, of a ramp law that starts from its jump law
+NARROWEST_RAMP = 1e-6  # smallest width over the belt's speed
 
 
-HELD_SD = 1e-6  # standard deviation of an unknown that is held, over its size
+HELD_SD = 1e-6  # standard deviation of a fixed unknown, over its size
 
 
 class UserValue(NamedTuple):
@@ -326,7 +325,7 @@ class EstimationProblem:
         damping = damping_calibration(motions[0], K)
         speed = min(motion.belt_speed for motion in motions)
         steepest = np.inf
-        if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
+        if kind.curve == "linear":  # beyond Fs/G_slip friction would be negative
             steepest = LEAST_LINEAR_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
         start, lower, upper, prior, precision = np.zeros((5, len(runs), PER_RUN))
         lower[:], upper[:] = -np.inf, np.inf
@@ -334,7 +333,7 @@ class EstimationProblem:
         for r, (run, regression) in enumerate(zip(runs, first, strict=True)):
             motion, ripple, v = run.motion, run.ripple, run.motion.belt_speed
             datum, belt, compliance = rest_calibration(run), motion.belt_prior, motion.compliance
-            # Constant friction determines only datum + Fs/k: the scatter of levels must not separate the two.
+            # Constant friction constrains only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             calibrations = {
                 Global.DATUM: (datum.value, _precision(datum_sd, 1e-6 * motion.travel)),
@@ -395,12 +394,12 @@ class EstimationProblem:
         return replace(self, start=start, lower=lower, upper=upper, prior=prior, precision=precision)
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def fixed(self) -> NDArray[np.bool_]:
         """The fixed unknowns of all runs."""
         return np.asarray(self.lower == self.upper)
 
     def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
-        """Return the problem with these cycles (cycles,) as ones that overtake the belt after landing."""
+        """Return the problem with these cycles (cycles,) marked as overtaking the belt after landing."""
         flags = iter(overtaking)
         runs = []
         for run in self.runs:
@@ -415,14 +414,14 @@ class EstimationProblem:
         """Return other starting values (13 runs,), regressed together with a drag, and its size."""
         first, size = _regress_runs(self.law.kind, self.runs, drag)
         start = self.start.copy()
-        for unknowns_of_run, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
-            unknowns_of_run[: Global.DATUM + 1] = unknowns.to_array(p)[: Global.DATUM + 1]
+        for u_of_run, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
+            u_of_run[: Global.DATUM + 1] = unknowns.to_array(p)[: Global.DATUM + 1]
         return np.clip(start, self.lower, self.upper), size
 
     def start_near(self, other: Law, u: Array) -> Array:
-        """Return the unknowns (13 runs,) of this law nearest the fit u of another.
+        """Return the unknowns (13 runs,) of this law that are nearest to the fit u of another law.
 
-        A new ramp is almost closed; another curve has the same friction at two slip speeds.
+        A new ramp is very narrow; another curve has the same friction at two slip speeds.
         """
         start, kind, other_kind = u.copy(), self.law.kind, other.kind
         if kind.ramp and not other_kind.ramp:
@@ -435,7 +434,7 @@ class EstimationProblem:
             p = unknowns.values(u[:PER_RUN])
             F, shape = matched_curve(kind.curve_code, other_kind.curve_code, p.F, p.shape, fastest)
             start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
-        return np.where(self.held, self.start, start)
+        return np.where(self.fixed, self.start, start)
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
         """Return the windows of all runs, of every sample or thinned (`thinned_to`)."""
@@ -460,7 +459,7 @@ class EstimationProblem:
     def level_prior(self) -> float:
         """Standard deviation of the prior of the friction levels, in standard deviations of their scatter.
 
-        Constant friction fixes the datum, so that no level pulls at it.
+        Under constant friction the datum is fixed, so that levels cannot bias it.
         """
         guessed = any(motion.datum_prior is None for motion in self.motions)
         return LOOSE_LEVELS if guessed and self.law.kind.curve != "constant" else 1.0
@@ -498,8 +497,8 @@ def choose_thinning(run: Run) -> Thinning:
 def rest_calibration(run: Run, sd: float = REST_SD) -> Measured:
     """Return the spring's rest position, m; without a calibration an assumed one, to ``sd`` travels.
 
-    That is the first position of a record that begins at rest below the middle of the motion, else the lowest one:
-    friction is then nowhere negative.  Laws 1 and 3 determine only datum + Fs/k: the prior keeps the fit finite.
+    The assumed one is the first position of a record that begins at rest below the middle of the motion, else the
+    lowest position: friction is then nowhere negative.  Laws 1 and 3 constrain only datum + Fs/k, so a prior is needed.
     """
     motion = run.motion
     if motion.datum_prior is not None:

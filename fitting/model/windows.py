@@ -2,11 +2,11 @@
 
 Wear is the decrease of the friction level from cycle to cycle, by a straight line through the cycles' levels.
 
-A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change of
-a level within one cycle is a separate parameter of the fit (`fitting.model.unknowns`, fade) and is not used for wear,
-since a contact may lose its strength only where it is formed anew.
+The level is new after each landing, so the error of the line comes from the scatter of the levels about it.  The change
+of a level within a cycle is a separate parameter of the fit (`fitting.model.unknowns`, fade) and is not used for wear,
+since a contact may lose its strength only when it is formed again.
 
-Nodes stand for every sample of a record: the last pass of a fit needs tangents at these alone.
+Nodes represent the samples of a record: the last pass of a fit needs tangents only at nodes.
 """
 
 import math
@@ -27,20 +27,21 @@ from fitting.record.motion import MeasuredMotion
 from stickslip.compute.arrays import Array, Integers, Mask, end_to_end
 from stickslip.units import Measured
 
-# Mean square of a cycle over the usual one of its run, above which it is spoilt.  Noise alone gives up to 1.2; a joint
-# that steps by 10 mm/s gives 3 to 20.  At 3 slips that were struck lightly still pulled true laws to p = 1e-8.
+# Mean square of a cycle over the median of its run, above which it is an outlier.  Noise alone gives up to 1.2; a belt
+# joint with a step of 10 mm/s gives 3 to 20.  With a limit of 3, slips with weak steps still led to p = 1e-8 of true
+# laws.
 SPOILT = 1.5
-BESIDE_BELT = 0.9995  # speed over the belt's: the fastest start of a slip window
+BESIDE_BELT = 0.9995  # fastest start of a slip window over the belt's speed
 
 
 class Thinning(NamedTuple):
-    """The samples of a window to take: every ``stride``-th, and about ``most`` of a long stick."""
+    """Selection of samples in a window: every ``stride``-th, and about ``most`` of a long stick."""
 
     stride: int = 1
     most: float = math.inf
 
     def select(self, size: int, stuck: int) -> NDArray[np.int64]:
-        """Return the samples taken of a window that sticks from sample ``stuck`` on."""
+        """Return the selected samples of a window that sticks from sample ``stuck`` on."""
         moving = np.arange(0, stuck, self.stride)
         begin = moving.size * self.stride
         return np.concatenate([moving, np.arange(begin, size, max(self.stride, int((size - begin) / self.most)))])
@@ -64,12 +65,11 @@ def first_stuck_sample(time: Array, stick: int, landing: float, *, overtakes: bo
 class ShootingWindows:
     """The samples of all windows, end to end, each cycle's stick window before its slip window."""
 
-    # (windows, 6) Cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 where the
-    # mass was seen to overtake the belt after landing, run (0 when there is one)
+    # (windows, 6) cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 if the mass
+    # overtakes the belt after landing, run (0 if there is only one)
     table: NDArray[np.int64]
-    level_epoch: Array  # (windows,) s; the cycle's break-away: its level is the level then
-    # (windows,) s; half way from a slip window's start to the measured landing: a touch of the belt before is no
-    # landing
+    level_epoch: Array  # (windows,) s; the cycle's break-away: its level is the level at that time
+    # (windows,) s; half way from a slip window's start to the measured landing: an earlier contact is not a landing
     earliest_landing: Array
     time: Array  # (N,) s, m
     position: Array
@@ -173,7 +173,7 @@ class ShootingWindows:
         return np.array([np.mean(residual[rows] ** 2) for rows in self.rows])
 
     def spoilt(self, residual: Array) -> NDArray[np.bool_]:
-        """Return the cycles (cycles,) with residuals (N,) far above the median of their run."""
+        """Return the outlier cycles (cycles,): those with residuals (N,) far above the median of their run."""
         square, run = self._mean_squares(residual), self.run
         usual = np.array([np.median(square[run == number]) for number in range(int(run.max()) + 1)])
         return np.asarray(square > SPOILT * usual[run])
@@ -192,8 +192,8 @@ class ShootingWindows:
     def fastest_starts(self, u: Array) -> Array:
         """Return upper bounds (cycles, 6) of the cycles' own unknowns: a slip starts slower than the belt.
 
-        Beyond the belt's speed friction is reversed. Noise hides that, and curve, level and damping can use it: local
-        minima with Fs 15 % and friction 7 % off.
+        Above the belt's speed friction is reversed. Within the noise that allows local minima with Fs 15 % and friction
+        7 % off.
         """
         bounds = np.full((len(self.rows), PER_CYCLE), np.inf)
         for k, stick, first, _, _, run in self.table:
@@ -247,12 +247,12 @@ def fit_wear(windows: ShootingWindows, inlier: Mask, local: Array, run: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class SampleNodes:
-    """Samples n apart in each window, and its last; each sample counts to its two nodes by linear shares."""
+    """Every n-th sample of each window, and its last; each sample is shared linearly between its two nodes."""
 
     windows: ShootingWindows  # of the nodes
     node_before: Integers  # (N,) of each sample
-    share: Array  # (N,) the share of each sample that counts to the next node
-    count: Array  # (nodes,) samples about each
+    share: Array  # (N,) the share of each sample that belongs to the node after it
+    count: Array  # (nodes,) samples that belong to each
 
     @classmethod
     def of(cls, every_sample: ShootingWindows, thinned: Sequence[Thinning]) -> "SampleNodes":
@@ -284,7 +284,7 @@ class SampleNodes:
         return cls(windows, before, shares, _shared_out(np.ones(shares.size), before, shares, total))
 
     def with_mean_residuals(self, model: Array, residual: Array) -> ShootingWindows:
-        """Return the nodes, measured where their residual is the mean of the residual (N,) of samples near them.
+        """Return the nodes with positions such that their residual is the mean of the residual (N,) of their samples.
 
         ``model`` (nodes,) are predicted positions, m.
         """
@@ -294,6 +294,6 @@ class SampleNodes:
 
 
 def _shared_out(values: Array, before: Integers, share: Array, nodes: int) -> Array:
-    """Return the sum of values (N,) about each node, shape (nodes,)."""
+    """Return the sum of values (N,) that belong to each node, shape (nodes,)."""
     after = np.minimum(before + 1, nodes - 1)
     return np.asarray(np.bincount(before, (1 - share) * values, nodes) + np.bincount(after, share * values, nodes))

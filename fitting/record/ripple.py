@@ -27,8 +27,8 @@ from stickslip.compute.arrays import Array
 
 RESIDUAL_VARIANCE = 0.35  # largest residual variance over that of the velocity in stick; true ripples have 0.32
 AMPLITUDE_BESIDE_LINES = 0.27  # smallest share of the amplitude not absorbed by the lines; true ripples 0.28 to 1.0
-# Periods in a slip (`MeasuredMotion.slip_s`).  A slower ripple, or one below `SLOWEST_OF_FEW` with fewer periods, may be
-# wear or drift; smoothing removes a faster one.
+# Periods in a slip (`MeasuredMotion.slip_s`).  A slower ripple, or one below `SLOWEST_OF_FEW` with fewer periods, may
+# be wear or drift; smoothing removes a faster one.
 SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
 FEWEST_PERIODS = 2.0  # periods within the sticks: a single one cannot be distinguished from a drift
 GRID_SAMPLES = 50.0  # samples a slip of the record that is transformed: four of the fastest period

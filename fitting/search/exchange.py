@@ -65,22 +65,22 @@ def settle_from_starts(
     (runs,), m, by default the resolution. No fit is settled where all first passes are far worse than the other tasks'
     ``smallest_other_error``, m.
     """
-    noise_reached = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
-    passed: list[Fit] = []
+    noise_limit = noise_levels.DESCRIBES * (task.resolution if noise_m is None else float(np.max(noise_m)))
+    first_passes: list[Fit] = []
     for start, noise in starts:
         first = first_pass(task, start, noise)
-        passed += [] if first is None else [first]
-        if first is not None and first.geometric_mean_rms < noise_reached:
+        first_passes += [] if first is None else [first]
+        if first is not None and first.geometric_mean_rms < noise_limit:
             break
-    passed.sort(key=lambda fit: fit.geometric_mean_rms)
-    if passed and passed[0].geometric_mean_rms > GIVEN_UP_BEYOND_BEST * smallest_other_error:
-        return passed[0]
+    first_passes.sort(key=lambda fit: fit.geometric_mean_rms)
+    if first_passes and first_passes[0].geometric_mean_rms > GIVEN_UP_BEYOND_BEST * smallest_other_error:
+        return first_passes[0]
     best: Fit | None = None
-    for first in passed:
+    for first in first_passes:
         if best is not None and first.geometric_mean_rms > FAR_BEYOND_BEST * best.geometric_mean_rms:
             break
         best = select_better(best, settle(first, noise_m))
-        if best is not None and best.geometric_mean_rms < noise_reached:
+        if best is not None and best.geometric_mean_rms < noise_limit:
             break
     return best
 
@@ -110,33 +110,35 @@ def fit_laws(
 def fit_all(
     tasks: Sequence[Task],
     is_requested: Callable[[Task], bool] = lambda _: True,
-    each: Map = map,
+    map_tasks: Map = map,
     progress: Callable[[int], None] = lambda _: None,
 ) -> list[Fit]:
-    fits = fit_first_passes(tasks, each, progress)
-    fits = improve_near_best(fits, settle_lower, GIVEN_UP_BEYOND_BEST, each)
-    fits = exchange_starts(tasks, fits, each)
-    levelled = improve_near_best(mark_overtaking(fits, each), fit_break_away_level, FAR_BEYOND_BEST, each)
-    fits = exchange_starts(tasks, levelled, each, tried=fits)
+    fits = fit_first_passes(tasks, map_tasks, progress)
+    fits = improve_near_best(fits, settle_unless_worse, GIVEN_UP_BEYOND_BEST, map_tasks)
+    fits = exchange_starts(tasks, fits, map_tasks)
+    fits_with_levels = improve_near_best(
+        mark_overtaking(fits, map_tasks), fit_break_away_level, FAR_BEYOND_BEST, map_tasks
+    )
+    fits = exchange_starts(tasks, fits_with_levels, map_tasks, tried=fits)
     for fit in fits:
         if fit is not None:
             logger.debug("settled: law %s, %.4g um", fit.law.name, 1e6 * fit.geometric_mean_rms)
     requested = [task for task in tasks if is_requested(task)]
     needed = [is_requested(task) or any(other.curve.contains(task.curve) for other in requested) for task in tasks]
     fits, needed_tasks = list(compress(fits, needed)), list(compress(tasks, needed))
-    finished = improve_near_best(fits, finish, FINISHED_NEAR_BEST, each)
-    finished = exchange_starts(needed_tasks, finished, each, tried=fits)
+    finished = improve_near_best(fits, finish, FINISHED_NEAR_BEST, map_tasks)
+    finished = exchange_starts(needed_tasks, finished, map_tasks, tried=fits)
     return [fit for fit in finished if fit is not None and is_requested(fit.task)]
 
 
-def fit_first_passes(tasks: Sequence[Task], each: Map, progress: Callable[[int], None]) -> list[Fit | None]:
+def fit_first_passes(tasks: Sequence[Task], map_tasks: Map, progress: Callable[[int], None]) -> list[Fit | None]:
     fits: list[Fit | None] = []
-    for fit in each(first_pass_from_regression, tasks):
+    for fit in map_tasks(first_pass_from_regression, tasks):
         fits.append(fit)
         progress(len(fits))
     if any(fit is not None and fit.geometric_mean_rms < noise_levels.NEAR * fit.task.resolution for fit in fits):
         return fits
-    return list(each(retry_first_pass, list(zip(tasks, fits, strict=True))))
+    return list(map_tasks(retry_first_pass, list(zip(tasks, fits, strict=True))))
 
 
 def retry_first_pass(first: tuple[Task, Fit | None]) -> Fit | None:
@@ -149,15 +151,15 @@ def retry_first_pass(first: tuple[Task, Fit | None]) -> Fit | None:
 
 
 def improve_near_best(
-    fits: Sequence[Fit | None], improve: Callable[[Fit], Fit | None], times: float, each: Map
+    fits: Sequence[Fit | None], improve: Callable[[Fit], Fit | None], factor: float, map_tasks: Map
 ) -> list[Fit | None]:
-    limit = times * least_error(fits)
+    limit = factor * least_error(fits)
     near_best = [fit for fit in fits if fit is not None and fit.geometric_mean_rms <= limit]
-    improved = dict(zip(map(id, near_best), each(improve, near_best), strict=True))
+    improved = dict(zip(map(id, near_best), map_tasks(improve, near_best), strict=True))
     return [improved.get(id(fit)) or fit for fit in fits]
 
 
-def settle_lower(fit: Fit) -> Fit:
+def settle_unless_worse(fit: Fit) -> Fit:
     """Return the settled fit unless its error is larger, as when a wrong law treats all its cycles as outliers."""
     settled = settle(fit)
     return fit if settled is None or fits_worse(settled, fit) else settled
@@ -181,17 +183,17 @@ def select_better(fit: Fit | None, other: Fit | None) -> Fit | None:
 
 
 def exchange_starts(
-    tasks: Sequence[Task], fits: Sequence[Fit | None], each: Map, tried: Sequence[Fit | None] = ()
+    tasks: Sequence[Task], fits: Sequence[Fit | None], map_tasks: Map, tried: Sequence[Fit | None] = ()
 ) -> list[Fit | None]:
     """Fit each task that is worse than a neighbour from the neighbour's fit, unless ``tried``; keep the better fit."""
     limit = FAR_BEYOND_BEST * least_error(fits)
-    fresh = [fit for fit in fits if fit is not None and all(fit is not other for other in tried)]
+    new_fits = [fit for fit in fits if fit is not None and all(fit is not other for other in tried)]
     restarts = {
         k: (task, fit, neighbours)
         for k, (task, fit) in enumerate(zip(tasks, fits, strict=True))
-        if (neighbours := list_better_neighbours(task, fit, fresh, limit))
+        if (neighbours := list_better_neighbours(task, fit, new_fits, limit))
     }
-    ends = dict(zip(restarts, each(start_at_neighbours, list(restarts.values())), strict=True))
+    ends = dict(zip(restarts, map_tasks(start_at_neighbours, list(restarts.values())), strict=True))
     return [ends.get(k) or fit for k, fit in enumerate(fits)]
 
 
@@ -217,7 +219,7 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
                 end = finish_from(task, start, neighbour.noise)
             else:
                 first = first_pass(task, start, neighbour.noise.without_fade)
-                end = None if first is None else settle_lower(first)
+                end = None if first is None else settle_unless_worse(first)
             fit = select_better(fit, end)
     return fit
 
@@ -236,7 +238,7 @@ def warm_start(task: Task, donor: Fit, narrowing: float = 1.0) -> FitStart:
     return FitStart(np.concatenate([u[list(task.places)], curve.start, np.zeros(task.widths[2])]), donor.local)
 
 
-def mark_overtaking(fits: Sequence[Fit | None], each: Map) -> list[Fit | None]:
+def mark_overtaking(fits: Sequence[Fit | None], map_tasks: Map) -> list[Fit | None]:
     """Apply the overtaking found with one curve to its jump and ramp: a ramp may fit it with a very low level."""
     limits = [0.0 if fit is None else FAR_BEYOND_BEST * fit.task.resolution for fit in fits]
     overtaking_by_curve = [
@@ -255,5 +257,5 @@ def mark_overtaking(fits: Sequence[Fit | None], each: Map) -> list[Fit | None]:
             ]
             if np.any(of_same_curve):
                 marked[k] = refit_with_overtaking(fit, np.any(of_same_curve, axis=0)) or fit
-    settled = dict(zip(marked, each(settle, list(marked.values())), strict=True))
+    settled = dict(zip(marked, map_tasks(settle, list(marked.values())), strict=True))
     return [settled.get(k) or marked.get(k) or fit for k, fit in enumerate(fits)]

@@ -79,8 +79,10 @@ class PassNoise:
             weights[cycles_of_run] = cycle_weights(
                 rms[cycles_of_run], max(float(np.median(rms[cycles_of_run])), motion.resolution)
             )
-            shown = effective_sigma(residual, [windows.rows[c] for c in cycles_of_run if weights[c] > COUNTED_WEIGHT])
-            sigma[k] = max(shown if first else min(shown, float(sigma[k])), motion.resolution)
+            run_sigma = effective_sigma(
+                residual, [windows.rows[c] for c in cycles_of_run if weights[c] > COUNTED_WEIGHT]
+            )
+            sigma[k] = max(run_sigma if first else min(run_sigma, float(sigma[k])), motion.resolution)
         levels = local[weights > INLIER_WEIGHT, PerCycle.LEVEL]
         scatter = float(np.clip(np.std(levels), LEAST_SCATTER, MOST_SCATTER))
         return replace(self, sigma=sigma, weights=weights, scatter=scatter)
@@ -237,15 +239,15 @@ class Fit:
     def assumed_rest(self) -> Measured | None:
         """The assumed rest position of the spring; None where it was calibrated or fitted."""
         problem = self.problem
-        if problem.motions[0].datum_prior is not None or not problem.held[Global.DATUM]:
+        if problem.motions[0].datum_prior is not None or not problem.fixed[Global.DATUM]:
             return None
         return Measured(float(problem.prior[Global.DATUM]), float(problem.precision[Global.DATUM]) ** -0.5)
 
     @property
     def law_parameters(self) -> int:
         """Number of free unknowns without those that every law has (datum, damping, fade, belt)."""
-        held = self.problem.held
-        shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
+        fixed = self.problem.fixed
+        shared = sum(place % PER_RUN not in NUISANCE and not fixed[place] for place in self.places)
         return shared + self.task.curve.size - (self.assumed_rest is not None)
 
     @property

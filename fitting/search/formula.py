@@ -121,7 +121,7 @@ class StartSearch:
             }
             changed = base | {name: (base[name] or 1.0) / DOUBLED for name in group}
             try:
-                first, other = (self.law.curve.gradient(self.target.speeds, at, group) for at in (base, changed))
+                first, other = (self.law.curve.gradient(self.target.speeds, point, group) for point in (base, changed))
             except InputError:
                 return True
             if np.any(np.abs(first - other) > DERIVATIVE_ROUNDING * np.max(np.abs(first))):

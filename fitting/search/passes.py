@@ -121,14 +121,14 @@ def _repeat_pass(fit: Fit) -> Fit | None:
 def fit_break_away_level(fit: Fit) -> Fit:
     """Add a break-away level to a ramp if that improves the fit; free from the first pass it ends in local minima."""
     begun, task = clock.process_time(), fit.task.with_static
-    noise_reached = noise_levels.DESCRIBES * task.resolution
+    noise_limit = noise_levels.DESCRIBES * task.resolution
     best = fit
     for u in [] if task is fit.task else _static_starts(task, fit):
         first = first_pass(task, FitStart(_combine_unknowns(task, u, fit), fit.local), fit.noise)
         settled = settle(first) if first is not None and first.geometric_mean_rms < fit.geometric_mean_rms else None
         if settled is not None and settled.geometric_mean_rms < best.geometric_mean_rms:
             best = settled
-            if best.geometric_mean_rms < noise_reached:
+            if best.geometric_mean_rms < noise_limit:
                 break
     gain = fit.residual.size * math.log(fit.geometric_mean_rms / best.geometric_mean_rms)
     return replace(best if gain >= STATIC_GAIN else fit, cpu_s=fit.cpu_s + clock.process_time() - begun)
@@ -142,13 +142,11 @@ def _static_starts(task: Task, fit: Fit) -> list[Array]:
     """
     between = [fit.u.copy() for _ in TOWARDS_REGRESSION]
     for u, share in zip(between, TOWARDS_REGRESSION, strict=True):
-        for unknowns_of_run, regressed in zip(
-            u.reshape(-1, PER_RUN), task.problem.start.reshape(-1, PER_RUN), strict=True
-        ):
-            rest = unknowns_of_run[Global.LOG_F]
+        for u_of_run, regressed in zip(u.reshape(-1, PER_RUN), task.problem.start.reshape(-1, PER_RUN), strict=True):
+            rest = u_of_run[Global.LOG_F]
             for slot in (Global.LOG_F, Global.SHAPE):
-                unknowns_of_run[slot] += share * (regressed[slot] - unknowns_of_run[slot])
-            unknowns_of_run[Global.STATIC] = max(math.exp(rest - unknowns_of_run[Global.LOG_F]), STATIC_STARTS[0])
+                u_of_run[slot] += share * (regressed[slot] - u_of_run[slot])
+            u_of_run[Global.STATIC] = max(math.exp(rest - u_of_run[Global.LOG_F]), STATIC_STARTS[0])
     same_in_slip = [fit.u.copy() for _ in STATIC_STARTS]
     for u, level in zip(same_in_slip, STATIC_STARTS, strict=True):
         _set_static(task, u, level)
@@ -163,10 +161,8 @@ def _combine_unknowns(task: Task, u: Array, fit: Fit) -> Array:
 def _set_static(task: Task, u: Array, level: float) -> None:
     """Change the break-away level in u; friction in slip and the slope in stick stay the same."""
     if isinstance(task.curve, LawCurve):
-        for unknowns_of_run in u.reshape(-1, PER_RUN):
-            unknowns_of_run[:] = unknowns.to_array(
-                with_static(task.curve.code, unknowns.values(unknowns_of_run), level)
-            )
+        for u_of_run in u.reshape(-1, PER_RUN):
+            u_of_run[:] = unknowns.to_array(with_static(task.curve.code, unknowns.values(u_of_run), level))
 
 
 def _static_gain(fit: Fit) -> float:
