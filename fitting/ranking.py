@@ -71,7 +71,7 @@ def rank(
         contradictions = find_contradictions(describing_laws, competition.runs, records, refit)
     adequacies = assess(
         competition.fits,
-        competition.judged[competition.best.law],
+        competition.judgements[competition.best.law],
         competition.curve,
         competition.noise,
         [fit for fit in competition.fits if fit.law.has_kernel] or competition.six,

@@ -115,7 +115,7 @@ class LawJudgement:
         return np.array([run.noise_m for run in self.slips])
 
     @property
-    def usual(self) -> LinearisedFit | None:
+    def without_faults(self) -> LinearisedFit | None:
         """The linearised fit without the cycles that have faults."""
         linear = LinearisedFit.at(self.fit)
         return None if linear is None or self.faults is None else linear.without(self.faults)
@@ -169,7 +169,7 @@ def assess(
         if base is not None:
             count_repeated, repeated = partial(_count_repeated, judgement), judgement.joint.repeat
             fluctuation = fluctuation_share(base, repeated, count_repeated, float(np.max(noise)))
-    usual = judgement.usual
+    usual = judgement.without_faults
     visible: tuple[float | None, ...] = (None,) * len(motions)
     if usual is not None:
         visible = smallest_visible(judgement.fit, usual, judgement.slips)
@@ -196,13 +196,8 @@ def assess(
     return [
         together,
         *(
-            Adequacy(
-                outcome if goodness.rejected else ADEQUATE if goodness.judged else None,
-                goodness.noise_m,
-                goodness,
-                size,
-            )
-            for goodness, size in zip(judgement.by_run, visible, strict=True)
+            Adequacy(outcome if run.rejected else ADEQUATE if run.judged else None, run.noise_m, run, size)
+            for run, size in zip(judgement.by_run, visible, strict=True)
         ),
     ]
 

@@ -27,7 +27,7 @@ POOR_CYCLE = 3.0  # error of a cycle over the median, above which its break-away
 
 def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
     times, loads = _break_aways(fit, motion)
-    usual = float(np.median(fit.cycle_rms))
+    usual_rms = float(np.median(fit.cycle_rms))
     index_of = {cycle.number: k for k, cycle in enumerate(fit.cycles)}
     rows = []
     for cycle in cut.cycles:
@@ -35,7 +35,7 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
         if k is None:
             rows.append(BreakAway(cycle.number, cycle.break_away, math.nan, math.nan, cycle.flag))
             continue
-        rough = fit.cycle_rms[k] > POOR_CYCLE * max(usual, motion.resolution)
+        rough = fit.cycle_rms[k] > POOR_CYCLE * max(usual_rms, motion.resolution)
         scale = math.exp(float(fit.local[k, PerCycle.LEVEL]))
         rows.append(BreakAway(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
     return tuple(rows)
@@ -92,8 +92,8 @@ def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
     reach = SEARCH_RANGE * motion.slip_s
     time = np.arange(smoothed - reach, smoothed + reach, SEARCH_STEP * motion.slip_s)
     level = math.exp(float(fit.u[Global.LOG_F] + fit.local[k, PerCycle.LEVEL]))
-    enough = _friction(fit, time, _in_stick(fit, motion, k, time)) >= level
-    return float(time[np.argmax(enough)]) if enough.any() else smoothed
+    reached = _friction(fit, time, _in_stick(fit, motion, k, time)) >= level
+    return float(time[np.argmax(reached)]) if reached.any() else smoothed
 
 
 def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:

@@ -57,10 +57,7 @@ def apply_user_values(runs: Sequence[Run], competitors: Competitors) -> list[Run
         raise InputError(f"{name} has a unit with newtons, and the mass is not known", name, "give --mass as well")
     return [
         replace(
-            run,
-            user_values={
-                law: _convert_values(values, run.motion.sign, mass) for law, values in of_laws.items() if values
-            },
+            run, user_values={law: _convert(values, run.motion.sign, mass) for law, values in of_laws.items() if values}
         )
         for run in runs
     ]
@@ -86,7 +83,7 @@ def apply_to_formula(law: Law, values: Mapping[str, Given], motion: MeasuredMoti
     return law.given(fix, bounds, start)
 
 
-def _convert_values(values: Mapping[str, Given], sign: float, motion: MeasuredMotion) -> tuple[UserValue, ...]:
+def _convert(values: Mapping[str, Given], sign: float, motion: MeasuredMotion) -> tuple[UserValue, ...]:
     unknowns = []
     for name, value in values.items():
         slot = UNKNOWNS.get(name.removesuffix(PER_MASS))
@@ -122,18 +119,18 @@ Refit = Callable[[Sequence[Run]], Sequence[LawParameters]]  # laws that describe
 
 
 def find_contradictions(
-    described: Sequence[LawParameters], runs: Sequence[Run], records: Sequence[Kinematics], refit: Refit
+    laws: Sequence[LawParameters], runs: Sequence[Run], records: Sequence[Kinematics], refit: Refit
 ) -> list[list[Finding]]:
     """Return the calibrations of each run that its record contradicts, in the record's signs and SI units.
 
-    ``described`` are the laws that describe the runs; ``records`` have the calibration of the positions.
+    ``laws`` are the laws that describe the runs; ``records`` have the calibration of the positions.
     """
-    contradictions = _compare_runs(described, runs, records)
-    doubted_codes = {finding.code for findings in contradictions for finding in findings} if described else set(UNITS)
-    free = [_free_calibrations(run, doubted_codes) for run in runs]
-    if all(freed is run for freed, run in zip(free, runs, strict=True)):
+    contradictions = _compare_runs(laws, runs, records)
+    doubted_codes = {finding.code for findings in contradictions for finding in findings} if laws else set(UNITS)
+    free_runs = [_free_calibrations(run, doubted_codes) for run in runs]
+    if all(freed is run for freed, run in zip(free_runs, runs, strict=True)):
         return contradictions
-    laws_without = refit(free)
+    laws_without = refit(free_runs)
     contradictions_without = _compare_runs(laws_without, runs, records) if laws_without else [[] for _ in runs]
     return [[finding for finding in findings if finding.code in doubted_codes] for findings in contradictions_without]
 
@@ -152,7 +149,7 @@ def _free_calibrations(run: Run, codes: Collection[str]) -> Run:
 
 
 def _compare_runs(
-    described: Sequence[LawParameters], runs: Sequence[Run], records: Sequence[Kinematics]
+    laws: Sequence[LawParameters], runs: Sequence[Run], records: Sequence[Kinematics]
 ) -> list[list[Finding]]:
     """Return the calibrations of each run that contradict every law, with the values of the first law."""
     contradictions: list[list[Finding]] = []
@@ -160,19 +157,17 @@ def _compare_runs(
         by_law = [
             [
                 finding
-                for finding in _compare_calibrations(run.motion, parameters[number], record.recording.rig)
+                for finding in _compare(run.motion, parameters[number], record.recording.rig)
                 if finding.sigmas > noise_levels.SHOWN
             ]
-            for parameters in described
+            for parameters in laws
         ]
         shared = set.intersection(*({finding.code for finding in findings} for findings in by_law)) if by_law else set()
         contradictions.append([finding for findings in by_law[:1] for finding in findings if finding.code in shared])
     return contradictions
 
 
-def _compare_calibrations(
-    motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig
-) -> Iterator[Finding]:
+def _compare(motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig) -> Iterator[Finding]:
     """Yield each calibration with its estimate from a law."""
     if motion.stated_speed is not None and not parameters["v_dr"].fixed:
         speed = parameters["v_dr"]

@@ -102,14 +102,14 @@ def levels_scatter(fit: Fit, noise: Array) -> bool:
 
     The scatter must also move the spring by more than the noise: rounding to counts causes a fifth of that.
     """
-    usual, run = fit.inlier_cycles, fit.windows.run[fit.inlier_cycles]
-    if usual.sum() < np.unique(run).size + 1:
+    inliers, run = fit.inlier_cycles, fit.windows.run[fit.inlier_cycles]
+    if inliers.sum() < np.unique(run).size + 1:
         return False
     stretch = float(fit.task.friction(fit.q, np.array([fit.values.v_dr]))[0]) / fit.values.K
     inverse = np.empty_like(fit.solution.blocks.Hl)
     compiled(elimination.invert, (elimination.__name__,))(fit.solution.blocks.Hl, inverse)
-    by_noise = float(np.mean(inverse[usual, PerCycle.LEVEL, PerCycle.LEVEL]))
-    level = fit.solution.local[usual, PerCycle.LEVEL]
+    by_noise = float(np.mean(inverse[inliers, PerCycle.LEVEL, PerCycle.LEVEL]))
+    level = fit.solution.local[inliers, PerCycle.LEVEL]
     deviations = [level[run == number] - np.mean(level[run == number]) for number in np.unique(run)]
     scatter = float(np.sum(np.concatenate(deviations) ** 2)) / (level.size - len(deviations))
     return bool(scatter > SCATTER_SHOWN * by_noise and scatter * stretch**2 > float(np.max(noise)) ** 2)
@@ -230,8 +230,8 @@ def _replace_fast_starts(fit: Fit, local: Array) -> Array:
     if fit.law.ramp:
         return local
     smoothed = fit.windows.starting_values(fit.problem.motions)
-    beyond = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]
-    local[beyond, : PerCycle.LEVEL] = smoothed[beyond, : PerCycle.LEVEL]
+    too_fast = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]
+    local[too_fast, : PerCycle.LEVEL] = smoothed[too_fast, : PerCycle.LEVEL]
     return local
 
 
@@ -240,11 +240,8 @@ def _spline_problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
     prior, precision = problem.prior.copy(), problem.precision.copy()
     lower, upper, start = problem.lower.copy(), problem.upper.copy(), problem.start.copy()
     for number, run in enumerate(problem.runs):
-        datum, calibration = PER_RUN * number + Global.DATUM, rest_calibration(run, CURVE_REST_SD)
-        prior[datum], precision[datum] = (
-            calibration.value,
-            1 / calibration.sd**2 if calibration.sd > 0 else precision[datum],
-        )
+        datum, stated = PER_RUN * number + Global.DATUM, rest_calibration(run, CURVE_REST_SD)
+        prior[datum], precision[datum] = (stated.value, 1 / stated.sd**2 if stated.sd > 0 else precision[datum])
         if number == 0 and rest is not None:
             lower[datum] = upper[datum] = start[datum] = rest.value
     return replace(problem, prior=prior, precision=precision, lower=lower, upper=upper, start=start)
@@ -268,12 +265,9 @@ SEED = 20_240  # the draws are the same for every record
 def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
     """Return the covariances (p, p) of the shared unknowns from the noise, and from the scatter between cycles."""
     noise = linear.reduced.covariance
-    cycle_gradients = linear.gradients
-    cycles = cycle_gradients.shape[0]
-    meat = (
-        np.einsum("ci,cj->ij", cycle_gradients, cycle_gradients) * (cycles / max(cycles - 1, 1))
-        + linear.priors.precision
-    )
+    gradients = linear.gradients
+    cycles = gradients.shape[0]
+    meat = np.einsum("ci,cj->ij", gradients, gradients) * (cycles / max(cycles - 1, 1)) + linear.priors.precision
     return noise, np.einsum("ik,kl,lj->ij", noise, meat, noise, optimize=False)
 
 
@@ -303,8 +297,8 @@ def half_widths(columns: Array, covariances: tuple[Array, Array], confidence: fl
         along = np.einsum("kp,pq->kq", columns, root)
         sd = np.sqrt(np.sum(along**2, axis=1))
         draws = rng.standard_normal((size.size, DRAWS))
-        most = np.max(np.abs(np.einsum("kq,qn->kn", along, draws)) / np.maximum(sd, 1e-300)[:, None], axis=0)
-        quantile = max(quantile, float(np.quantile(most, confidence)))
+        largest = np.max(np.abs(np.einsum("kq,qn->kn", along, draws)) / np.maximum(sd, 1e-300)[:, None], axis=0)
+        quantile = max(quantile, float(np.quantile(largest, confidence)))
         deviation = np.maximum(deviation, sd)
     return np.asarray(widening * quantile * deviation)
 

@@ -202,8 +202,8 @@ def find_best_scale(base: Base, departure: Departure) -> float | None:
     top = int(np.argmax(gain))
     gaps = np.abs(np.diff(np.log(scales)))
     gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
-    nearer = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
-    return float(nearer[np.argmax(linear_steps(base, departure, nearer)[1])])
+    nearby = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
+    return float(nearby[np.argmax(linear_steps(base, departure, nearby)[1])])
 
 
 def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array, Array]:
@@ -298,13 +298,13 @@ def _list_candidates(
     bases = [Base.at(best, records, revolution)]
     if not curve_describes:
         bases.append(Base.at(curve.spline_fit, records, revolution, curve.linear))
-    tried = []
+    tried_departures = []
     for candidate in rank_candidates([base for base in bases if base is not None], noise):
         if curve_describes or candidate.explained > LEAST_EXPLAINED:
-            tried.append(candidate.departure)
+            tried_departures.append(candidate.departure)
             yield candidate
     for departure in DEPARTURES:
-        if departure.drag is not None and departure not in tried:
+        if departure.drag is not None and departure not in tried_departures:
             yield Candidate(departure, math.nan, np.zeros(departure.columns), 0.0)
 
 
@@ -336,7 +336,7 @@ def _fit_law_with_departure(candidate: Candidate, fit: Fit, noise: float, *, tes
     if base is None:
         return None
     # A law that fits poorly was fitted only to the thinned record.
-    alone, linear = fit.residual if fit.every_sample else fit.residual_in(finished.windows, fit.local), base.linear
+    alone, linear = fit.residual if fit.finished else fit.residual_in(finished.windows, fit.local), base.linear
     if alone is None:
         return None
     before = replace(linear, residual=alone).cost

@@ -76,13 +76,13 @@ class Units:
 def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     """Return the cycles (cycles,) that the best law and related laws describe; all cycles where these are too few."""
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
-    related = [
+    related_fits = [
         fit
         for fit in fits
         if fit.geometric_mean_rms < RELATED_FACTOR * best.geometric_mean_rms and _are_related(fit.law, best.law)
     ]
-    trusted = np.logical_and.reduce([fit.inlier_cycles for fit in related])
-    return trusted if trusted.sum() >= noise_levels.FEWEST else np.ones_like(trusted)
+    inliers = np.logical_and.reduce([fit.inlier_cycles for fit in related_fits])
+    return inliers if inliers.sum() >= noise_levels.FEWEST else np.ones_like(inliers)
 
 
 def _are_related(law: Law, other: Law) -> bool:
@@ -112,26 +112,26 @@ def _list_evidence(
     fit: Fit, runs: Sequence[Run], inliers: NDArray[np.bool_], *, sustained: bool
 ) -> list[tuple[MeasuredMotion, Array]]:
     """Return the residuals that are evidence, with their motion: of each cycle, or of each start-up drag."""
-    judged = []
+    residuals = []
     for number, run in enumerate(runs):
         fit_of_run = fit.for_run(number)
         if sustained:
             inliers_of_run = inliers[fit.windows.run == number]
-            rows = [rows for rows, good in zip(fit_of_run.rows, inliers_of_run, strict=True) if good]
+            rows = [rows for rows, is_inlier in zip(fit_of_run.rows, inliers_of_run, strict=True) if is_inlier]
         elif run.cut.drag != (0, 0) and run.cut.uses_start:
             rows = [_drag_rows(fit_of_run, run.cut.drag)]
         else:
             rows = []
-        judged += [(run.motion, fit_of_run.residual[samples]) for samples in rows]
-    return judged
+        residuals += [(run.motion, fit_of_run.residual[samples]) for samples in rows]
+    return residuals
 
 
 def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
     """Return the log error of every unit (units,), run by run; the resolution is its lower limit."""
-    judged = _list_evidence(fit, runs, units.inliers, sustained=units.sustained)
+    residuals = _list_evidence(fit, runs, units.inliers, sustained=units.sustained)
     log_errors = [
         0.5 * math.log(float(np.mean(piece**2)) + motion.resolution**2)
-        for (motion, residual), pieces in zip(judged, units.pieces, strict=True)
+        for (motion, residual), pieces in zip(residuals, units.pieces, strict=True)
         for piece in np.array_split(residual, pieces)
     ]
     return np.array(log_errors) if log_errors else np.zeros(DRAG_PIECES)  # a drag too short to be evidence

@@ -65,9 +65,9 @@ def find_other_break_away(runs: Sequence[BreakAways], level: float, unit: str) -
 def _levels(run: BreakAways) -> tuple[Array, Array]:
     """Return the break-away levels of a run over that at rest, and the stick times before them, s (NaN if unknown)."""
     landing = {cycle.number + 1: cycle.landing for cycle in run.cut.cycles}
-    good = [event for event in run.events if not event.flag and math.isfinite(event.break_away_level)]
-    ratio = np.array([event.break_away_level / event.kinetic_scale for event in good])
-    return ratio, np.array([event.t - landing.get(event.number, math.nan) for event in good])
+    usable = [event for event in run.events if not event.flag and math.isfinite(event.break_away_level)]
+    ratio = np.array([event.break_away_level / event.kinetic_scale for event in usable])
+    return ratio, np.array([event.t - landing.get(event.number, math.nan) for event in usable])
 
 
 def _growth(runs: Sequence[tuple[Array, Array, float]]) -> Measured | None:
@@ -78,10 +78,10 @@ def _growth(runs: Sequence[tuple[Array, Array, float]]) -> Measured | None:
     """
     means = []
     for ratio, stick, error in runs:
-        good = np.isfinite(stick) & (stick > 0)
-        if good.sum() < FEWEST_BREAK_AWAYS:
+        usable = np.isfinite(stick) & (stick > 0)
+        if usable.sum() < FEWEST_BREAK_AWAYS:
             continue
-        x, y = np.log(stick[good]), ratio[good]
+        x, y = np.log(stick[usable]), ratio[usable]
         if len(runs) == 1:
             return _slope_within(x, y)
         means.append((x.mean(), y.mean(), y.var(ddof=1) / y.size + error**2))
@@ -101,8 +101,8 @@ def _slope_within(x: Array, y: Array) -> Measured | None:
         return None
     slope = float(np.sum(x * y)) / square
     # each point's own residual, raised by its leverage (HC3: J. MacKinnon, H. White, J. Econometrics 29 (1985) 305)
-    raised = x * (y - slope * x) / (1 - x**2 / square - 1 / x.size)
-    return Measured(slope, math.sqrt(float(np.sum(raised**2))) / square)
+    scores = x * (y - slope * x) / (1 - x**2 / square - 1 / x.size)
+    return Measured(slope, math.sqrt(float(np.sum(scores**2))) / square)
 
 
 DRAWS, SEED = 6, 5  # the same draws for every record; the size is then accurate to a factor of two or three

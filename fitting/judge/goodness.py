@@ -90,11 +90,11 @@ def estimate_noise(
         if row_run == run and inliers[k] and count > DIFFERENCE_ORDER:
             rows = slice(first, first + count)
             speed = motion.velocity[windows.source[rows]][DIFFERENCE_ORDER // 2 : -DIFFERENCE_ORDER // 2]
-            fast = np.abs(speed) >= slowest
+            is_fast = np.abs(speed) >= slowest
             if slowest > 0:
-                fast &= np.abs(speed - motion.belt_speed) > STEADY_SPEED * abs(motion.belt_speed)
-            squares.append((np.diff(residual[rows], DIFFERENCE_ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
-            speeds.append(speed[fast] ** 2)
+                is_fast &= np.abs(speed - motion.belt_speed) > STEADY_SPEED * abs(motion.belt_speed)
+            squares.append((np.diff(residual[rows], DIFFERENCE_ORDER) ** 2 / SQUARED_WEIGHTS)[is_fast])
+            speeds.append(speed[is_fast] ** 2)
     square, v2 = (np.concatenate(parts) if parts else np.empty(0) for parts in (squares, speeds))
     if square.size < FEWEST_DIFFERENCES:
         return PositionNoise(pitch, math.sqrt(max(motion.resolution**2 - rounding, 0.0)), 0.0)
@@ -179,8 +179,8 @@ class SlipBins:
         if not slips:
             empty = np.empty(0, np.int64)
             return cls(empty, empty, empty, empty, np.empty(0), 0, 1)
-        usual = float(np.median([phase.size for phase in phases]))
-        bins = int(min(max(usual // SAMPLES_IN_BIN, 1), MOST_BINS))
+        usual_size = float(np.median([phase.size for phase in phases]))
+        bins = int(min(max(usual_size // SAMPLES_IN_BIN, 1), MOST_BINS))
         cell = [slip * bins + np.floor(bins * phase).astype(np.int64) for slip, phase in enumerate(phases)]
         occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
         return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
@@ -230,8 +230,8 @@ class SlipBins:
         number, occupied = self.residuals_and_bins
         square = np.maximum(self.per_slip(squared) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
-        usual = np.median(square, axis=0)
-        weight = np.sqrt(np.minimum(usual / square, 1.0))  # an outlier slip is scaled down to the median one
+        usual_square = np.median(square, axis=0)
+        weight = np.sqrt(np.minimum(usual_square / square, 1.0))  # an outlier slip is scaled down to the median one
         mean = sums / self.count[:, None] * weight[self.slip]
         each, together = np.sum(mean**2, axis=0), self.per_phase(mean)
         return Statistics(
@@ -453,8 +453,8 @@ def _find_struck(linear: LinearisedFit, windows: ShootingWindows, landings: Arra
             phase = np.where(stick[rows], 0, 1 + (windows.time[rows] >= landings[k]))
             steps = _steps(local[:, PerCycle.X_SLIP], local[:, PerCycle.V_SLIP], phase)
             excess = square[k] - float(np.median(square[windows.run == windows.run[k]]))
-            usual, remaining = square[k] - excess, square[k] - _best_gain(linear, k, local, steps) / phase.size
-            struck[k] = remaining < SPOILT * usual or remaining - usual < (1 - LEAST_EXPLAINED) * excess
+            usual_square, remaining = square[k] - excess, square[k] - _best_gain(linear, k, local, steps) / phase.size
+            struck[k] = remaining < SPOILT * usual_square or remaining - usual_square < (1 - LEAST_EXPLAINED) * excess
     return struck
 
 
@@ -464,10 +464,10 @@ def _steps(x: Array, v: Array, phase: Integers) -> Array:
     ``x`` and ``v`` (n,) are the responses to the position and velocity at the start of the slip. The response to a step
     of the velocity is the combination of both that is 0 at the step.
     """
-    step_sample = np.linspace(1, phase.size - 1, TIMES_TRIED).round().astype(np.int64)
-    later = np.arange(phase.size)[:, np.newaxis] >= step_sample
-    velocity = np.outer(v, x[step_sample]) - np.outer(x, v[step_sample])
-    return np.asarray(later * np.where(phase[step_sample] == 1, velocity, phase[:, np.newaxis] == phase[step_sample]))
+    begin = np.linspace(1, phase.size - 1, TIMES_TRIED).round().astype(np.int64)
+    after = np.arange(phase.size)[:, np.newaxis] >= begin
+    velocity = np.outer(v, x[begin]) - np.outer(x, v[begin])
+    return np.asarray(after * np.where(phase[begin] == 1, velocity, phase[:, np.newaxis] == phase[begin]))
 
 
 def _best_gain(linear: LinearisedFit, k: int, local: Array, columns: Array) -> float:
@@ -479,8 +479,8 @@ def _best_gain(linear: LinearisedFit, k: int, local: Array, columns: Array) -> f
     projected = np.vstack([np.column_stack([residual, columns]), np.zeros((q, 1 + columns.shape[1]))])
     projected -= basis @ (basis.T @ projected)
     square = np.sum(projected[:, 1:] ** 2, axis=0)
-    seen = square > 1e-9 * np.sum(columns**2, axis=0)
-    return float(np.max((projected[:, 1:].T @ projected[:, 0]) ** 2 / np.where(seen, square, np.inf), initial=0.0))
+    valid = square > 1e-9 * np.sum(columns**2, axis=0)
+    return float(np.max((projected[:, 1:].T @ projected[:, 0]) ** 2 / np.where(valid, square, np.inf), initial=0.0))
 
 
 PERIODS = (1.0, 2.0)  # over the slip speeds; the law's parameters absorb less than one
@@ -510,13 +510,11 @@ def _median_percent(run: RunSlips, sums: Array, squares: Array) -> float | None:
     """Return the median amplitude, %, of waves with these sums in each bin; None if it is above 100 %."""
     if not run.bins.judged:
         return None
-    typical = 100 * float(
-        np.median([amplitude_half_detected(run, *wave) for wave in zip(sums.T, squares.T, strict=True)])
-    )
+    typical = 100 * float(np.median([detectable_amplitude(run, *wave) for wave in zip(sums.T, squares.T, strict=True)]))
     return typical if typical < 100 else None
 
 
-def amplitude_half_detected(run: RunSlips, wave: Array, square: Array) -> float:
+def detectable_amplitude(run: RunSlips, wave: Array, square: Array) -> float:
     """Return the amplitude of a wave, over Fs, at which half of a run's repetitions are rejected; inf without one."""
     bins, begin = run.bins, least_repeat(run.bins)
     sums, squares = wave[:, None], square[:, None]

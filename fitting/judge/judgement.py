@@ -20,7 +20,7 @@ class Competition:
     """All fitted laws, in the order of the rows, and the goodness of fit of those near the noise."""
 
     fits: tuple[Fit, ...]
-    judged: Mapping[Law, LawJudgement]
+    judgements: Mapping[Law, LawJudgement]
     model_set: ModelSet
     misfit: Mapping[Law, float]  # rms residual of the usual cycles over the noise of a position
     # laws outside the set whose residual, without penalties, is as small as the best law's; those it is nested in last
@@ -59,7 +59,7 @@ class Competition:
 
     def describes(self, law: Law) -> bool:
         """Whether a law describes the record, as far as that can be judged."""
-        return self.described and law in self.judged and not self.judged[law].joint.rejected
+        return self.described and law in self.judgements and not self.judgements[law].joint.rejected
 
 
 def compete(
@@ -82,32 +82,34 @@ def compete(
             by_law[fit.law], errors[fit.law], penalised[fit.law] = fit, errors_of_fit, penalised_errors
     misfit = {law: _misfit(fit, units, noise) for law, fit in by_law.items()}
     motions, largest = [run.motion for run in runs], float(np.max(noise))
-    seen = {nearest.fit.law: nearest} if nearest.fit is by_law.get(nearest.fit.law) else {}
-    judged = judge_near_laws(list(by_law.values()), motions, largest, seen)
-    rejected = [law for law, fit in judged.items() if fit.joint.rejected]
+    known_judgements = {nearest.fit.law: nearest} if nearest.fit is by_law.get(nearest.fit.law) else {}
+    judgements = judge_near_laws(list(by_law.values()), motions, largest, known_judgements)
+    rejected_laws = [law for law, fit in judgements.items() if fit.joint.rejected]
     # a law does not describe the record if a rejected law, in which it is nested, fits better
-    lost = {law for law in judged for other in rejected if other.contains(law) and misfit[other] < misfit[law]}
-    judged = {law: fit for law, fit in judged.items() if law in rejected or law not in lost}
-    described = {law for law in judged if law not in rejected}
-    if not described:
+    fit_worse = {
+        law for law in judgements for other in rejected_laws if other.contains(law) and misfit[other] < misfit[law]
+    }
+    judgements = {law: fit for law, fit in judgements.items() if law in rejected_laws or law not in fit_worse}
+    describing_laws = {law for law in judgements if law not in rejected_laws}
+    if not describing_laws:
         order = sorted(by_law.values(), key=lambda fit: misfit[fit.law])
-        judged = judge_near_laws(order[:1], motions, largest, judged) | judged
-        return Competition(tuple(order), judged, ModelSet((), {}, {}, {}), misfit)
+        judgements = judge_near_laws(order[:1], motions, largest, judgements) | judgements
+        return Competition(tuple(order), judgements, ModelSet((), {}, {}, {}), misfit)
     table = Evidence(tuple(penalised), np.array(list(penalised.values())), units.samples)
-    chosen = evidence.model_confidence_set(table, alpha, described)
-    fitting = {law: by_law[law] for law in described}
+    chosen = evidence.model_confidence_set(table, alpha, describing_laws)
+    fitting = {law: by_law[law] for law in describing_laws}
     chosen = evidence.add_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
-    outside = sorted(described.difference(chosen.members), key=chosen.score.__getitem__)
+    outside = sorted(describing_laws.difference(chosen.members), key=chosen.score.__getitem__)
     first = chosen.members[0]
     equal = [law for law in outside if evidence.fits_as_well(errors[law], errors[first], units.samples)]
-    rest = sorted((law for law in by_law if law not in described), key=misfit.__getitem__)
+    rest = sorted((law for law in by_law if law not in describing_laws), key=misfit.__getitem__)
     return Competition(
         tuple(by_law[law] for law in (*chosen.members, *outside, *rest)),
-        judged,
+        judgements,
         chosen,
         misfit,
         tuple(sorted(equal, key=lambda law: law.contains(first))),
-        runs_differ=evidence.runs_differ([by_law[law] for law in judged], penalised[first], runs, units),
+        runs_differ=evidence.runs_differ([by_law[law] for law in judgements], penalised[first], runs, units),
     )
 
 

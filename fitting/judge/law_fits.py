@@ -38,9 +38,9 @@ class NoLawError(Exception):
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     """Divide a record into cycles, with the belt's ripple removed where the mass sticks often."""
     cut = cycles.segment_cycles(motion, excluded)
-    beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
-    if beyond and cut.cycles:
-        message = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
+    unknown_numbers = sorted(excluded - {cycle.number for cycle in cut.cycles})
+    if unknown_numbers and cut.cycles:
+        message = f"no cycle {', '.join(map(str, unknown_numbers[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(message, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
     if len(excluded) == len(cut.cycles) >= noise_levels.FEWEST:
         message = f"all {len(cut.cycles)} cycles are left out; a verdict needs {noise_levels.FEWEST}"
@@ -51,15 +51,13 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
 
 def _remove_ripple(run: Run) -> Run:
     """Return a run with the ripple found in its sticks, if any, cut as on a steady belt."""
-    belt_ripple = ripple.find_ripple(run.motion, run.cut)
-    if belt_ripple is None:
+    wave = ripple.find_ripple(run.motion, run.cut)
+    if wave is None:
         return run
-    return replace(
-        run, cut=cycles.segment_cycles(belt_ripple.remove_from(run.motion), _excluded_numbers(run)), ripple=belt_ripple
-    )
+    return replace(run, cut=cycles.segment_cycles(wave.remove_from(run.motion), _exclusions(run)), ripple=wave)
 
 
-def _excluded_numbers(run: Run) -> frozenset[int]:
+def _exclusions(run: Run) -> frozenset[int]:
     return frozenset(cycle.number for cycle in run.cut.cycles if cycle.flag == "excluded")
 
 
@@ -76,7 +74,7 @@ def fit_runs(
     """
     laws = options.competitors.searched
     sustained = _check_cycles(laws, runs, records)
-    seen = sustained  # from the record alone, before any law is fitted
+    record_sticks = sustained  # from the record alone, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
     if not options.competitors.formulas or doubt == screening.SINE_ALONE:
         refuse(doubt, records)
@@ -93,12 +91,12 @@ def fit_runs(
             "add --laws 1,2",
         )
     # Residuals of a law that does not fit even roughly say nothing about missing frames.
-    doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
+    doubt = screening.reject_by_misfit(fits, runs, sustained=record_sticks) or doubt
     if not fits:
         refuse(doubt, records)
     if not doubt:
         screening.refuse_missing_frames(fits, records)
-    if not seen and not any(record.sticks for record in records) and not is_described(fits, runs):
+    if not record_sticks and not any(record.sticks for record in records) and not is_described(fits, runs):
         refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
         refuse(screening.SINE_ALONE, records)
@@ -116,17 +114,17 @@ def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
 
 
 def _fit_grazing(
-    laws: Sequence[Law], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
+    laws: Sequence[Law], steady_runs: Sequence[Run], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run], bool]:
     """Fit the laws to a mass that grazes the belt; also return the runs and whether the mass sticks repeatedly.
 
     Short apparent sticks may be the tops of a sine, so a ripple is tried first only if the start-up drag contains one.
     Laws with sticks are tried if constant friction does not fit the record.
     """
-    attempts = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
-    rippled = [_remove_ripple(run) for run in steady]
-    if any(run.ripple is not None for run in rippled):
-        attempts.append((fit_to(CONSTANT, rippled, CONSTANT), rippled))
+    attempts = [(fit_to(CONSTANT, steady_runs, CONSTANT), steady_runs)]
+    rippled_runs = [_remove_ripple(run) for run in steady_runs]
+    if any(run.ripple is not None for run in rippled_runs):
+        attempts.append((fit_to(CONSTANT, rippled_runs, CONSTANT), rippled_runs))
         steady_error, ripple_error = (evidence.drag_error(*attempt) for attempt in attempts)
         if steady_error > STEADY_DRAG_ERROR * ripple_error:
             attempts.reverse()
@@ -184,7 +182,7 @@ def _check_cycles(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Ki
 
 
 def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
-    if any(map(_excluded_numbers, runs)):
+    if any(map(_exclusions, runs)):
         return "leave out fewer (--exclude-cycles)"
     if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
         return (

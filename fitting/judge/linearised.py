@@ -139,12 +139,12 @@ class LinearisedFit:
     def without(self, spoilt: Mask) -> "LinearisedFit":
         """Return the fit after a Gauss-Newton step without the ``spoilt`` cycles, or unchanged if that is worse."""
         weights = np.where(spoilt, EXCLUDED_WEIGHT * self.weights, self.weights)
-        reduced_fit = self.of(self.derivatives, self.residual, self.rows, weights, self.priors)
-        step, local_step = reduced_fit.reduced.newton_step(reduced_fit.blocks.g, reduced_fit.blocks.gl)
+        linear = self.of(self.derivatives, self.residual, self.rows, weights, self.priors)
+        step, local_step = linear.reduced.newton_step(linear.blocks.g, linear.blocks.gl)
         steps = self._steps(step[:, None], local_step[:, :, None])
-        moved = [after[:, 0] for _, _, after in self._move(partial(split_by_block, self.residual[:, None]), steps)]
-        refit = replace(reduced_fit, residual=np.concatenate(moved), blocks=reduced_fit.blocks.shift(step, local_step))
-        return refit if refit.cost <= reduced_fit.cost else self
+        residuals = [after[:, 0] for _, _, after in self._move(partial(split_by_block, self.residual[:, None]), steps)]
+        refit = replace(linear, residual=np.concatenate(residuals), blocks=linear.blocks.shift(step, local_step))
+        return refit if refit.cost <= linear.cost else self
 
     def _steps(self, step: Array, local_step: Array) -> Array:
         """Return steps (cycles, p + q, B) of all unknowns from those of the shared (p, B) and (cycles, q, B)."""

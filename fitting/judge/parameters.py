@@ -179,14 +179,14 @@ def covariances(fit: Fit) -> tuple[Array, Array]:
     meat = np.einsum("ci,cj->ij", cycle_gradients, cycle_gradients) * (cycles / max(cycles - 1, 1)) + priors
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
     share = _information_share(fit)
-    informed = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))
-    own_scale, limited = scaled_inverse(H + informed, np.diag(blocks.H))
+    information_lost = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))
+    own_scale, by_curvature = scaled_inverse(H + information_lost, np.diag(blocks.H))
     if fit.problem.level_prior > 1:
         narrower = (
             np.einsum("c,cpr->pr", share, reduced.by_prior(_missing_precision(fit))) * own_scale[:, None] * own_scale
         )
-        limited = limited - np.einsum("ij,jk,kl->il", limited, narrower, limited)
-    return sandwich * scale[:, None] * scale, limited * own_scale[:, None] * own_scale
+        by_curvature = by_curvature - np.einsum("ij,jk,kl->il", by_curvature, narrower, by_curvature)
+    return sandwich * scale[:, None] * scale, by_curvature * own_scale[:, None] * own_scale
 
 
 def upper_bound(first: Array, second: Array) -> Array:
@@ -206,12 +206,12 @@ def upper_bound(first: Array, second: Array) -> Array:
 
 def _information_share(fit: Fit) -> Array:
     """Return the share (cycles,) of each cycle's information that is consistent with its residuals."""
-    assumed = 1 / fit.least_squares.weights
-    variance = np.full(assumed.size, 1e-300)
+    assumed_variance = 1 / fit.least_squares.weights
+    variance = np.full(assumed_variance.size, 1e-300)
     for cycle, _, first, size, *_ in fit.windows.table:  # a drag is a window of the first cycle
         residual = fit.residual[first : first + size]
         variance[cycle] = max(variance[cycle], float(np.mean(residual**2)) * autocorrelation_time([residual]))
-    return np.asarray(np.minimum(LARGEST_VARIANCE * assumed / variance, 1.0))
+    return np.asarray(np.minimum(LARGEST_VARIANCE * assumed_variance / variance, 1.0))
 
 
 def _missing_precision(fit: Fit) -> Array:
@@ -306,16 +306,13 @@ def derived_parameters(
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
     parameters: dict[str, Parameter] = {}
     for row, scale in _table(fit, motion, constraints):
-        parameters[row.name] = _make_parameter(row, scale, constraints, motion, quantile)
+        parameters[row.name] = _derive(row, scale, constraints, motion, quantile)
         if row.name == "c/m" and sustained:
             parameters |= _wear_parameters(fit.level_trend(run), parameters.get("Fs/m"), alpha)
     parameters = {name: parameter for name, parameter in parameters.items() if name not in _hidden_names(constraints)}
-    law_parameters = {
-        row.name: _make_parameter(row, scale, constraints, motion, quantile)
-        for row, scale in _formula_rows(fit, motion)
-    }
-    law_parameters |= _differences(fit, constraints, law_parameters, quantile)
-    return {name: parameter for name, parameter in parameters.items() if name not in law_parameters} | law_parameters
+    of_law = {row.name: _derive(row, scale, constraints, motion, quantile) for row, scale in _formula_rows(fit, motion)}
+    of_law |= _differences(fit, constraints, of_law, quantile)
+    return {name: parameter for name, parameter in parameters.items() if name not in of_law} | of_law
 
 
 def _differences(
@@ -351,12 +348,10 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     spread = np.einsum("ri,ij,sj->rs", slopes, upper_bound(*constraints.covariances), slopes) + np.outer(
         lengths, lengths
     )
-    determined = np.diag(spread) > 0
-    error = np.sqrt(np.diag(spread)[determined])
-    matrix = np.clip(spread[np.ix_(determined, determined)] / np.outer(error, error), -1.0, 1.0)
-    return Correlations(
-        tuple(row.name for row, is_determined in zip(rows, determined, strict=True) if is_determined), matrix
-    )
+    shown = np.diag(spread) > 0
+    error = np.sqrt(np.diag(spread)[shown])
+    matrix = np.clip(spread[np.ix_(shown, shown)] / np.outer(error, error), -1.0, 1.0)
+    return Correlations(tuple(row.name for row, is_shown in zip(rows, shown, strict=True) if is_shown), matrix)
 
 
 def _independent_rows(fit: Fit, motion: MeasuredMotion, constraints: "Constraints") -> list[Derived]:
@@ -576,7 +571,7 @@ def _sign_of(row: Derived, motion: MeasuredMotion) -> float:
     return motion.sign if row.mirrored else 1.0
 
 
-def _make_parameter(
+def _derive(
     row: Derived, scale: Measured | None, constraints: Constraints, motion: MeasuredMotion, quantile: float
 ) -> Parameter:
     value = _sign_of(row, motion) * float(row.formula(*constraints.at(constraints.q)))

@@ -41,16 +41,16 @@ def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dic
     for _ in range(n):
         weight = rng.exponential(size=problem.weights.size)
         prior = problem.prior + spread * rng.standard_normal(spread.size)
-        longer, unconstrained = 1 + motion.length_error * float(rng.standard_normal()), float(rng.standard_normal())
-        resampled = replace(
+        scale, unconstrained = (1 + motion.length_error * float(rng.standard_normal()), float(rng.standard_normal()))
+        draw = replace(
             problem,
             weights=problem.weights * weight,
             local_precision=problem.local_precision * weight[:, np.newaxis],
             prior=np.clip(prior, problem.lower, problem.upper),
         )
-        solution = _refit(resampled, fit.q, fit.local)
+        solution = _refit(draw, fit.q, fit.local)
         if solution is not None:
-            draws.append(independent.at(solution.u, unconstrained) * longer**independent.lengths)
+            draws.append(independent.at(solution.u, unconstrained) * scale**independent.lengths)
     if len(draws) < FEWEST_FITTED * n:
         message = f"{n - len(draws)} of {n} draws of cycles cannot be fitted"
         raise DataError(message, "bootstrap", "use the covariance, or record more cycles")

@@ -239,7 +239,7 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    best = min((fit for fit in fits if fit.every_sample), key=lambda fit: fit.geometric_mean_rms, default=None)
+    best = min((fit for fit in fits if fit.finished), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else missing_share(best, record, run)
         if share is not None:
@@ -276,12 +276,12 @@ def is_stick_slip(record: Kinematics) -> bool:
 def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
     """Return why no law could be fitted to the cycles of a record, or ""."""
     # Cycles with rests are not fitted, but show as well as any other what drives the mass.
-    seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
-    if not seen:
+    cycles = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
+    if not cycles:
         flags = ", ".join(dict.fromkeys(cycle.flag for cycle in cut.cycles))
         return f"every cycle is left out ({flags})" if flags else _reject_by_motion(motion)
-    begin = np.searchsorted(motion.time, [cycle.break_away for cycle in seen])
-    end = np.minimum(np.searchsorted(motion.time, [cycle.landing for cycle in seen]), motion.time.size - 1)
+    begin = np.searchsorted(motion.time, [cycle.break_away for cycle in cycles])
+    end = np.minimum(np.searchsorted(motion.time, [cycle.landing for cycle in cycles]), motion.time.size - 1)
     turned = _reversal(motion, begin, end)
     if turned is not None:
         return (
@@ -290,19 +290,19 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
         )
     if float(np.median(_speed_changes(motion, begin, end))) < EVEN_SLIP:
         return "between its sticks the mass moves at a constant speed, and a spring would accelerate it"
-    rested = len(seen) - len(cut.used)
-    return f"the mass stands still in {rested} of {len(seen)} supposed slips" if 2 * rested >= len(seen) else ""
+    rested = len(cycles) - len(cut.used)
+    return f"the mass stands still in {rested} of {len(cycles)} supposed slips" if 2 * rested >= len(cycles) else ""
 
 
 def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
     """Return why no law can describe the runs, from rough fits of a few cycles; "" if a law fits."""
     if not sustained and all(not run.cut.starts_at_rest and _is_sine(run.motion) for run in runs):
         return SINE_ALONE
-    few = [replace(run, cut=replace(run.cut, cycles=_select_cycles(run.cut.used))) for run in runs]
-    longest = max(_slip_length(run.motion, run.cut) for run in few)
+    screened_runs = [replace(run, cut=replace(run.cut, cycles=_select_cycles(run.cut.used))) for run in runs]
+    longest = max(_slip_length(run.motion, run.cut) for run in screened_runs)
     for law in map(SIX.__getitem__, SCREENING_ORDER):
         if law in laws or (law.kind.curve == "constant" and not sustained):
-            task = law_task(law, few)
+            task = law_task(law, screened_runs)
             fit = first_pass(task, start_from_regression(task))
             if fit is not None and fit.misfit < WORST_ERROR * longest:
                 return ""

@@ -242,9 +242,9 @@ def _accelerated_step(problem: LeastSquaresProblem, point: Point, damping: float
     gradient = np.zeros_like(steps)
     for block, jacobian in point.derivatives:
         cycles, rows, begin = block.cycles, block.rows, first_rows(problem.first, block)
-        straight = np.empty(begin[-1])
-        kernel(elimination.along)(jacobian, begin, steps[cycles], straight)
-        bend = ((probe[0][rows] - point.residual[rows]) / PROBE_STEP - straight) * (2 / PROBE_STEP)
+        linear_change = np.empty(begin[-1])
+        kernel(elimination.along)(jacobian, begin, steps[cycles], linear_change)
+        bend = ((probe[0][rows] - point.residual[rows]) / PROBE_STEP - linear_change) * (2 / PROBE_STEP)
         force = bend * problem.weights[cycles].repeat(np.diff(begin))
         kernel(elimination.sum_gradients)(jacobian, force, begin, gradient[cycles])
     turn = _step(problem, point.u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])

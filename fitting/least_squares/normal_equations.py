@@ -228,8 +228,8 @@ class SchurComplement:
     def _step_inverse(self) -> Array:
         """The inverse (p, p) without directions that are lost in rounding: a step along them is random."""
         scale, size, axes = scaled_axes(self.H, self._raw)
-        lost = ROUNDING * np.sum(np.abs(axes) * (np.sqrt(self._raw) * scale)[:, None], axis=0) ** 2
-        half = axes * scale[:, None] / np.sqrt(np.where(size > lost, size, np.inf))
+        rounding = ROUNDING * np.sum(np.abs(axes) * (np.sqrt(self._raw) * scale)[:, None], axis=0) ** 2
+        half = axes * scale[:, None] / np.sqrt(np.where(size > rounding, size, np.inf))
         return np.asarray(np.einsum("ik,jk->ij", half, half))
 
     def by_cycle(self, cycle_curvature: Array) -> Array:

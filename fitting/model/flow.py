@@ -539,17 +539,15 @@ def window_at(
     extra: Extra,
 ) -> tuple[Window, float, float, float]:
     """Return the numbers of a window, its first position and velocity, and the next level; `follow_windows`."""
-    u_of_run, u_of_cycle = u[table[row, 5]], local[table[row, 0]]
+    u_of_run, start = u[table[row, 5]], local[table[row, 0]]
     c = contact_of(curve, u_of_run, ramp, pieces, spline)
     low, high = 0, 0
     if extra.along.size > 0:
         low, high = extra.first[row], extra.first[row + 1]
     acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
-    w = Window(u_of_run, c, math.exp(u_of_cycle[OWN]), epoch[row], low, high, *acts)
-    x, v = (
-        (u_of_cycle[X_STICK], u_of_cycle[V_STICK]) if table[row, 1] == 1 else (u_of_cycle[X_SLIP], u_of_cycle[V_SLIP])
-    )
-    return w, x, v, math.exp(u_of_cycle[NEXT])
+    w = Window(u_of_run, c, math.exp(start[OWN]), epoch[row], low, high, *acts)
+    x, v = (start[X_STICK], start[V_STICK]) if table[row, 1] == 1 else (start[X_SLIP], start[V_SLIP])
+    return w, x, v, math.exp(start[NEXT])
 
 
 def follow_window(

@@ -65,18 +65,10 @@ class FrictionSpline:
 
         Every piece must contain at least four of the speeds, and none may be outside the knots.
         """
-        nearest = np.zeros(self.coefficients.size)
+        best = np.zeros(self.coefficients.size)
         fit = compiled(fill_nearest, ("rig_sim.friction.spline", __name__), _nrt=False)
-        fit(
-            self.knots,
-            self.basis_pieces,
-            s,
-            values,
-            np.zeros((nearest.size, DEGREE + 1)),
-            np.empty(DEGREE + 1),
-            nearest,
-        )
-        return self.with_coefficients(nearest)
+        fit(self.knots, self.basis_pieces, s, values, np.zeros((best.size, DEGREE + 1)), np.empty(DEGREE + 1), best)
+        return self.with_coefficients(best)
 
     @cached_property
     def pieces(self) -> Array:

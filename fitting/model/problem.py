@@ -82,8 +82,8 @@ def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple
         return motion.belt_speed, 0.0
     x, v = np.concatenate(rows).T
     middle = np.median(v)
-    calm = np.abs(v - middle) < 0.5 * motion.belt_speed
-    (level, slope), _ = least_squares(np.c_[np.ones_like(x[calm]), x[calm]], v[calm])
+    inliers = np.abs(v - middle) < 0.5 * motion.belt_speed
+    (level, slope), _ = least_squares(np.c_[np.ones_like(x[inliers]), x[inliers]], v[inliers])
     return float(level), float(slope)
 
 
@@ -107,22 +107,22 @@ def regress_start(
     """
     samples = slip_samples(motion, cut)
     level, slope = stick_velocity_line(motion, cut)
-    loose = datum.sd > LOOSE_REST * motion.travel
-    besides, while_stuck = np.empty((samples.x.size, 0)), np.empty(0)
+    free_rest = datum.sd > LOOSE_REST * motion.travel
+    drag_in_slip, drag_in_stick = np.empty((samples.x.size, 0)), np.empty(0)
     if drag is not None:
-        besides = drag(motion.belt_speed - samples.s)[:, np.newaxis]
-        while_stuck = drag(np.array([motion.belt_speed]))
+        drag_in_slip = drag(motion.belt_speed - samples.s)[:, np.newaxis]
+        drag_in_stick = drag(np.array([motion.belt_speed]))
     v_dr, d, rest = motion.belt_speed, 0.0, datum.value
-    if loose and curve == LINEAR:
+    if free_rest and curve == LINEAR:
         rest = _rest_by_scatter(motion, cut, rest)
     x_slip = break_away_position(motion, cut) + BREAK_AWAY_MARGIN * motion.travel
-    friction = _Slips(samples, besides, while_stuck, x_slip)
-    K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, loose)
+    friction = _Slips(samples, drag_in_slip, drag_in_stick, x_slip)
+    K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, free_rest)
     if ramp:
         v_dr = level + slope * rest
         belt_slope = 0.0 if motion.compliance is None else motion.compliance.value
         d = float(np.clip((-slope - belt_slope) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
-        K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, loose)
+        K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, free_rest)
     return Values(K, F, v_dr, shape, d, rest), size
 
 
@@ -178,47 +178,47 @@ def with_static(curve: int, p: Values, static: float) -> Values:
 class _Slips:
     """The data of a regression.
 
-    ``besides`` (n, k), k of 0 or 1, are accelerations of a drag, ``while_stuck`` (k,) those on the belt; the mass
-    leaves the belt before ``x_slip``, m.
+    ``drag_in_slip`` (n, k), k of 0 or 1, are accelerations of a drag, ``drag_in_stick`` (k,) those on the belt; the
+    mass leaves the belt before ``x_slip``, m.
     """
 
     samples: SlipSamples
-    besides: Array
-    while_stuck: Array
+    drag_in_slip: Array
+    drag_in_stick: Array
     x_slip: float
 
 
 def _fit_slip_curve(
-    slips: _Slips, curve: int, datum: float, d: float, v_dr: float, loose: bool
+    slips: _Slips, curve: int, datum: float, d: float, v_dr: float, free_rest: bool
 ) -> tuple[float, float, float, float, float]:
     """Return (K, F, shape, datum) of a slip curve and the size of the drag, or an estimate if that is not physical."""
-    samples, besides = slips.samples, slips.besides
+    samples, drag_in_slip = slips.samples, slips.drag_in_slip
     x, s, a = samples.x - datum, np.maximum(samples.s - d, 0.0), samples.a
     ones = np.ones_like(x)
     shape, shift = 0.0, 0.0
     if curve == LINEAR:
-        (K, F, G, *_), _ = _solve(np.c_[-x, ones, -s, besides], a)
+        (K, F, G, *_), _ = _solve(np.c_[-x, ones, -s, drag_in_slip], a)
         shape = float(np.clip(G / F if F > 0 else np.inf, 1e-3 / v_dr, STEEPEST_LINE / float(s.max())))
-        (K, F, *size), _ = _solve(np.c_[-x, 1 - shape * s, besides], a)
+        (K, F, *size), _ = _solve(np.c_[-x, 1 - shape * s, drag_in_slip], a)
     elif curve == HYPERBOLIC:
         best = np.inf
         K = F = -1.0
         size = [0.0]
         for gamma in np.geomspace(0.03, 300, 41) / v_dr:
-            columns = np.c_[-x, 1 / (1 + gamma * s), besides]
-            solution, error = _solve(np.c_[columns, ones] if loose else columns, a)
+            columns = np.c_[-x, 1 / (1 + gamma * s), drag_in_slip]
+            solution, error = _solve(np.c_[columns, ones] if free_rest else columns, a)
             if not (solution[0] > 0 and solution[1] > 0):
                 continue
-            drag = solution[2 : 2 + besides.shape[1]]
-            level = solution[1] + (solution[-1] if loose else 0.0) + float(np.sum(drag * slips.while_stuck))
-            beyond = datum + level / solution[0] > slips.x_slip
-            if beyond and best < np.inf:  # if all are beyond, the smallest gamma is used
+            drag = solution[2 : 2 + drag_in_slip.shape[1]]
+            level = solution[1] + (solution[-1] if free_rest else 0.0) + float(np.sum(drag * slips.drag_in_stick))
+            beyond_break_away = datum + level / solution[0] > slips.x_slip
+            if beyond_break_away and best < np.inf:  # if all are beyond, the smallest gamma is used
                 break
             if error < best:
                 best, K, F, shape, size = error, float(solution[0]), float(solution[1]), float(gamma), list(drag)
-                shift = float(solution[-1]) / K if loose else 0.0
+                shift = float(solution[-1]) / K if free_rest else 0.0
     else:
-        (K, F, *size), _ = _solve(np.c_[-x, ones, besides], a)
+        (K, F, *size), _ = _solve(np.c_[-x, ones, drag_in_slip], a)
     if not (K > 0 and F > 0 and math.isfinite(K + F)):
         # The regression with a wrong curve is not physical: take the spring from the largest deceleration instead.
         K = float(np.max(np.abs(a)) / max(np.ptp(x), 1e-12))
@@ -477,14 +477,12 @@ def _regress_runs(
     kind: Kind, runs: Sequence[Run], drag: Callable[[Array], Array] | None = None
 ) -> tuple[list[unknowns.Values], float]:
     """Return each run's regression, with the medians of the contact, and the median size of a drag."""
-    regressions = [
+    fits = [
         regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), rest_calibration(run), drag)
         for run in runs
     ]
-    contact = {
-        name: float(np.median([getattr(start, name) for start, _ in regressions])) for name in ("K", "F", "shape", "d")
-    }
-    return [start._replace(**contact) for start, _ in regressions], float(np.median([size for _, size in regressions]))
+    contact = {name: float(np.median([getattr(start, name) for start, _ in fits])) for name in ("K", "F", "shape", "d")}
+    return [start._replace(**contact) for start, _ in fits], float(np.median([size for _, size in fits]))
 
 
 def choose_thinning(run: Run) -> Thinning:

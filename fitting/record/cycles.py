@@ -89,37 +89,39 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size
     shortest = max(3, round(SHORTEST_PHASE * motion.slip_s / float(np.median(np.diff(time)))))
-    slow = [(i, j) for i, j in runs(v < SLIP_SPEED * motion.belt_speed) if j - i >= shortest]
-    if not slow:
+    slips = [(i, j) for i, j in runs(v < SLIP_SPEED * motion.belt_speed) if j - i >= shortest]
+    if not slips:
         return CycleSegmentation((), 0.0, False, (0, 0))
     at_rest = np.abs(v) < REST_SPEED * motion.belt_speed
-    starts_at_rest = slow[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slow[0][1]))
+    starts_at_rest = slips[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slips[0][1]))
     rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > LONGEST_TURN * motion.slip_s]
     slipping = np.zeros(n, np.bool_)
-    for stretch in slow:
+    for stretch in slips:
         slipping[slice(*stretch)] = True
     for stretch in rests:
         slipping[slice(*stretch)] = False
     strongest = float(np.percentile(np.abs(a[slipping]), 95)) if slipping.any() else 0.0
-    still = STILL_ACCELERATION * strongest
+    threshold = STILL_ACCELERATION * strongest
 
-    begins, ends = zip(*slow, strict=True)
-    onsets, landings = _onsets(a, begins, still), _landings(a, ends, still)
-    if starts_at_rest and len(slow) > 1:
-        onsets[1:2] = _onsets(a, begins[1:2], still + _creep_deceleration(motion, landings[0], begins[1], still))
+    begins, ends = zip(*slips, strict=True)
+    onsets, landings = _onsets(a, begins, threshold), _landings(a, ends, threshold)
+    if starts_at_rest and len(slips) > 1:
+        onsets[1:2] = _onsets(
+            a, begins[1:2], threshold + _creep_deceleration(motion, landings[0], begins[1], threshold)
+        )
     resting = _overlap(onsets, landings, rests)
     sticks = list(zip(landings, [*onsets[1:], n], strict=True))
     middles = [(i + j) // 2 for i, j in sticks]
 
     cycles: list[Cycle] = []
     drag = (0, 0)
-    for k, (begin, end) in enumerate(slow):
+    for k, (begin, end) in enumerate(slips):
         if k == 0 and begin == 0:
             continue  # the start-up, or a slip whose beginning was not recorded
         onset = onsets[k]
         last = _sample_from(motion, time[onset] - BEFORE_BREAK_AWAY * motion.slip_s)
         if k == 0:
-            first = _find_calm(motion, onset, still)
+            first = _find_calm(motion, onset, threshold)
         elif k == 1 and starts_at_rest:
             settle = max(SHORTEST_PHASE * motion.slip_s, motion.half_window)
             first = _sample_from(motion, time[min(landings[0], n - 1)] + settle)
@@ -183,9 +185,9 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
     return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
 
 
-def _find_calm(motion: MeasuredMotion, onset: int, still: float) -> int:
+def _find_calm(motion: MeasuredMotion, onset: int, threshold: float) -> int:
     """Return the first sample of the initial stick, after a start-up too short to be a slip."""
-    restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > still)
+    restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > threshold)
     if not restless.size:
         return 0
     return _sample_from(motion, motion.time[restless[-1]] + motion.half_window)
@@ -196,40 +198,40 @@ def _find_stick(motion: MeasuredMotion, middle: int, last: int) -> int:
     v = motion.velocity[middle:last]
     if v.size < 4:
         return middle
-    fast = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKES_BY * motion.belt_speed)
-    if not fast.size:
+    fast_samples = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKES_BY * motion.belt_speed)
+    if not fast_samples.size:
         return middle
-    return _sample_from(motion, motion.time[middle + fast[-1]] + motion.half_window)
+    return _sample_from(motion, motion.time[middle + fast_samples[-1]] + motion.half_window)
 
 
 def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
     """Return whether the velocity after the landing peaks above the plateau by more than smoothing explains."""
-    early = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
-    settled = motion.velocity[(early + end) // 2 : end]
-    if settled.size < 3 or early >= end:
+    begin = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
+    settled_velocity = motion.velocity[(begin + end) // 2 : end]
+    if settled_velocity.size < 3 or begin >= end:
         return False
-    peak = float(motion.velocity[early : (early + end) // 2].max(initial=-np.inf))
-    return peak - float(np.median(settled)) > OVERTAKES_BY * motion.belt_speed
+    peak = float(motion.velocity[begin : (begin + end) // 2].max(initial=-np.inf))
+    return peak - float(np.median(settled_velocity)) > OVERTAKES_BY * motion.belt_speed
 
 
-def _creep_deceleration(motion: MeasuredMotion, landing: int, begin: int, still: float) -> float:
+def _creep_deceleration(motion: MeasuredMotion, landing: int, begin: int, threshold: float) -> float:
     """Return the deceleration, m/s^2, while the belt drags the mass from rest to ``begin``; 0 where it is a slip's."""
     first = _sample_from(motion, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
     decelerations = motion.acceleration[first : (first + begin) // 2]
     slowing = -float(np.median(decelerations)) if decelerations.size else 0.0
-    return slowing if still < slowing < SLIP_DECELERATION * still else 0.0
+    return slowing if threshold < slowing < SLIP_DECELERATION * threshold else 0.0
 
 
-def _onsets(a: Array, begins: Sequence[int], still: float) -> list[int]:
+def _onsets(a: Array, begins: Sequence[int], threshold: float) -> list[int]:
     """Return the last samples before ``begins`` without deceleration, or 0."""
-    steady = np.concatenate(([0], np.flatnonzero(a > -still)))
-    return [int(i) for i in steady[np.searchsorted(steady, begins, side="right") - 1]]
+    steady_samples = np.concatenate(([0], np.flatnonzero(a > -threshold)))
+    return [int(i) for i in steady_samples[np.searchsorted(steady_samples, begins, side="right") - 1]]
 
 
-def _landings(a: Array, ends: Sequence[int], still: float) -> list[int]:
+def _landings(a: Array, ends: Sequence[int], threshold: float) -> list[int]:
     """Return the first samples from ``ends`` on without acceleration, or the record's length."""
-    steady = np.append(np.flatnonzero(a < still), a.size)
-    return [int(i) for i in steady[np.searchsorted(steady, ends)]]
+    steady_samples = np.append(np.flatnonzero(a < threshold), a.size)
+    return [int(i) for i in steady_samples[np.searchsorted(steady_samples, ends)]]
 
 
 def _overlap(begins: Sequence[int], ends: Sequence[int], rests: Sequence[tuple[int, int]]) -> Mask:

@@ -118,12 +118,12 @@ def slip_duration(time: Array, position: Array, noise: float) -> float:
     falls = _list_rises(position - 0.5 * belt * time, least_turn, -1)
     if not falls:
         return float(time[-1] - time[0])
-    slow = _middle_mean(np.array([time[j] - time[i] for i, j in falls]))
+    slow_duration = _middle_mean(np.array([time[j] - time[i] for i, j in falls]))
     height = float(np.median([np.ptp(position[i : j + 1]) for i, j in falls]))
     if height == 0:
         return float(time[-1] - time[0])
-    share = harmonic_share(belt * slow / height)
-    return slow * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(0.5 * share))
+    share = harmonic_share(belt * slow_duration / height)
+    return slow_duration * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(0.5 * share))
 
 
 def harmonic_share(ratio: float) -> float:
@@ -267,15 +267,15 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     channel = _fit_channel_line(kinematics, typed)
     stated = typed if isinstance(typed, Measured) else rig.belt_speed
     stick_speed = speed_in_sticks(kinematics)
-    believed = stated if stated is not None and is_possible_speed(stated, stick_speed) else None
-    speed = _belt_speed(kinematics, believed, stick_speed, typed=isinstance(typed, Measured))
+    trusted_speed = stated if stated is not None and is_possible_speed(stated, stick_speed) else None
+    speed = _belt_speed(kinematics, trusted_speed, stick_speed, typed=isinstance(typed, Measured))
     sign = math.copysign(1.0, speed)
-    usual = float(np.median(np.diff(kinematics.time)))
+    usual_interval = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)
     slip = usual_slip(time, sign * position, sign * velocity < SLIP_SPEED * abs(speed))
     # They include samples that smoothing excludes as faults: slips of few samples look like spikes.
     readings = recording.position - kinematics.offset
-    prior = believed
+    prior = trusted_speed
     if channel is not None:
         unknown = Measured(sign * float(np.min(sign * position)), REST_SD * float(np.ptp(position)))
         prior = channel.speed_without_load(unknown if rest is None else rest)
@@ -286,7 +286,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         position=sign * position,
         velocity=sign * velocity,
         acceleration=sign * kinematics.acceleration[used],
-        broken=_mark_broken(kinematics, usual, slip),
+        broken=_mark_broken(kinematics, usual_interval, slip),
         belt_speed=abs(speed),
         stated_speed=stated,
         belt_prior=None if prior is None else Measured(abs(prior.value), prior.sd),
@@ -299,9 +299,9 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         resolution=resolution,
         step=step,
         velocity_error=float(np.median(kinematics.velocity_errors[used])),
-        half_window=kinematics.window * usual / 2,
+        half_window=kinematics.window * usual_interval / 2,
         slip_s=rounded_slip(slip),
-        samples_per_slip=slip_duration(kinematics.time, sign * readings, kinematics.noise) / usual,
+        samples_per_slip=slip_duration(kinematics.time, sign * readings, kinematics.noise) / usual_interval,
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
         if channel is not None and channel.slows_under_load
@@ -326,9 +326,9 @@ def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
     return float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
 
 
-def rounded_slip(usual: float) -> float:
+def rounded_slip(usual_slip_s: float) -> float:
     """Return a power of two, 0.55 to 1.1 times the usual slip, s: it scales times without rounding."""
-    return math.ldexp(1.0, round(math.log2(usual * math.pi / 4)))
+    return math.ldexp(1.0, round(math.log2(usual_slip_s * math.pi / 4)))
 
 
 def _mark_used(kinematics: Kinematics) -> NDArray[np.bool_]:
@@ -338,13 +338,13 @@ def _mark_used(kinematics: Kinematics) -> NDArray[np.bool_]:
     return used
 
 
-def _mark_broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.bool_]:
-    """Return which kept samples do not follow the one before; ``usual`` interval and ``slip`` duration, s."""
+def _mark_broken(kinematics: Kinematics, interval: float, slip: float) -> NDArray[np.bool_]:
+    """Return which kept samples do not follow the one before; ``interval`` interval and ``slip`` duration, s."""
     time, used = kinematics.time, _mark_used(kinematics)
-    new = (np.diff(time) > GAP_INTERVALS * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
+    new = (np.diff(time) > GAP_INTERVALS * interval) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
     piece = np.r_[0, np.cumsum(new)][used]
     broken = np.ones(piece.size, np.bool_)
-    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[used]) > max(HOLE * usual, SHORTEST_PHASE * slip))
+    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[used]) > max(HOLE * interval, SHORTEST_PHASE * slip))
     return broken
 
 
@@ -390,20 +390,16 @@ def speed_in_sticks(kinematics: Kinematics) -> float:
     return float(np.median(speeds)) if len(speeds) >= noise_levels.FEWEST else math.nan
 
 
-def _belt_speed(kinematics: Kinematics, believed: Measured | None, stick_speed: float, *, typed: bool) -> float:
+def _belt_speed(kinematics: Kinematics, trusted: Measured | None, median: float, *, typed: bool) -> float:
     """Return a first belt speed, signed: as given, or from the sticks, the calibration or the start-up drag."""
-    if believed is not None and typed:
-        return believed.value
-    if (
-        math.isfinite(kinematics.belt_speed)
-        and kinematics.belt_speed != 0
-        and (believed or not math.isfinite(stick_speed))
-    ):
+    if trusted is not None and typed:
+        return trusted.value
+    if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0 and (trusted or not math.isfinite(median)):
         return float(kinematics.belt_speed)
-    if math.isfinite(stick_speed):
-        return stick_speed
-    if believed is not None and believed.value != 0:
-        return believed.value
+    if math.isfinite(median):
+        return median
+    if trusted is not None and trusted.value != 0:
+        return trusted.value
     # Constant friction ends in a sine that just reaches the belt's speed; the drag displaces its middle.
     used = ~kinematics.missing
     position, velocity = kinematics.steady_position[used], kinematics.velocity[used]

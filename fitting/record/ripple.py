@@ -142,8 +142,8 @@ class Sticks:
 
 def _peaks(motion: MeasuredMotion, sticks: Sticks) -> list[float]:
     """Return the strongest frequencies, Hz, in the residual of the lines."""
-    few, span = sticks.thinned(motion.slip_s), float(sticks.time[-1] - sticks.time[0])
-    point = min(sticks.points(motion), key=lambda point: float(np.sum(few.fit(point)[1] ** 2)))
+    thinned, span = sticks.thinned(motion.slip_s), float(sticks.time[-1] - sticks.time[0])
+    point = min(sticks.points(motion), key=lambda point: float(np.sum(thinned.fit(point)[1] ** 2)))
     slowest = min(max(SLOWEST / motion.slip_s, FEWEST_PERIODS / span), SLOWEST_OF_FEW / motion.slip_s)
     peaks, _ = strongest_frequencies(sticks.time, sticks.fit(point)[1], motion.slip_s, slowest, CANDIDATES)
     return [float(hertz) for hertz in peaks]
@@ -160,7 +160,7 @@ def _find_harmonic(motion: MeasuredMotion, all_sticks: Sticks, peaks: list[float
         turns = 2 * math.pi * point[0] * (time - origin)
         return sticks.fit(point[1], np.cos(turns), np.sin(turns))
 
-    def residual_variance(point: Array) -> float:
+    def mean_square(point: Array) -> float:
         return float(np.mean(harmonic(point)[1] ** 2))
 
     def refine(point: Array) -> Array:
@@ -169,7 +169,7 @@ def _find_harmonic(motion: MeasuredMotion, all_sticks: Sticks, peaks: list[float
             slopes = [(harmonic(point + SLOPE_STEP * along)[1] - rest) / SLOPE_STEP for along in directions]
             share = np.clip(least_squares(np.stack(slopes, axis=1), -rest)[0], -1.0, 1.0)
             step = np.einsum("i,ij->j", share, directions)
-            point = min((point + factor * step for factor in (1.0, 0.3, 0.1, 0.0)), key=residual_variance)
+            point = min((point + factor * step for factor in (1.0, 0.3, 0.1, 0.0)), key=mean_square)
         return point
 
     def information(variance: float) -> float:
@@ -179,11 +179,10 @@ def _find_harmonic(motion: MeasuredMotion, all_sticks: Sticks, peaks: list[float
 
     needed = 2 * (math.log((FASTEST - SLOWEST) / motion.slip_s * motion.span) + LOG_ODDS)
     ends = (
-        refine(min((np.array([peak, point]) for point in sticks.points(motion)), key=residual_variance))
-        for peak in peaks
+        refine(min((np.array([peak, point]) for point in sticks.points(motion)), key=mean_square)) for peak in peaks
     )
-    end = min(ends, key=residual_variance)
-    after, before, (even, odd) = residual_variance(end), float(np.mean(sticks.fit(end[1])[1] ** 2)), harmonic(end)[0]
+    end = min(ends, key=mean_square)
+    after, before, (even, odd) = mean_square(end), float(np.mean(sticks.fit(end[1])[1] ** 2)), harmonic(end)[0]
     if (
         after > RESIDUAL_VARIANCE * before
         or 2 * (before - after) < (AMPLITUDE_BESIDE_LINES * math.hypot(even, odd)) ** 2

@@ -116,10 +116,8 @@ def fit_all(
     fits = fit_first_passes(tasks, map_tasks, progress)
     fits = improve_near_best(fits, settle_unless_worse, GIVEN_UP_BEYOND_BEST, map_tasks)
     fits = exchange_starts(tasks, fits, map_tasks)
-    fits_with_levels = improve_near_best(
-        mark_overtaking(fits, map_tasks), fit_break_away_level, FAR_BEYOND_BEST, map_tasks
-    )
-    fits = exchange_starts(tasks, fits_with_levels, map_tasks, tried=fits)
+    levelled = improve_near_best(mark_overtaking(fits, map_tasks), fit_break_away_level, FAR_BEYOND_BEST, map_tasks)
+    fits = exchange_starts(tasks, levelled, map_tasks, old_fits=fits)
     for fit in fits:
         if fit is not None:
             logger.debug("settled: law %s, %.4g um", fit.law.name, 1e6 * fit.geometric_mean_rms)
@@ -127,7 +125,7 @@ def fit_all(
     needed = [is_requested(task) or any(other.curve.contains(task.curve) for other in requested) for task in tasks]
     fits, needed_tasks = list(compress(fits, needed)), list(compress(tasks, needed))
     finished = improve_near_best(fits, finish, FINISHED_NEAR_BEST, map_tasks)
-    finished = exchange_starts(needed_tasks, finished, map_tasks, tried=fits)
+    finished = exchange_starts(needed_tasks, finished, map_tasks, old_fits=fits)
     return [fit for fit in finished if fit is not None and is_requested(fit.task)]
 
 
@@ -171,9 +169,7 @@ def least_error(fits: Sequence[Fit | None]) -> float:
 
 def fits_worse(fit: Fit | None, other: Fit) -> bool:
     """Compare fits of the same samples only, since the residual of a thinned record is smaller."""
-    return fit is None or (
-        fit.every_sample == other.every_sample and fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
-    )
+    return fit is None or (fit.finished == other.finished and fit.geometric_mean_rms > WORSE * other.geometric_mean_rms)
 
 
 def select_better(fit: Fit | None, other: Fit | None) -> Fit | None:
@@ -183,11 +179,11 @@ def select_better(fit: Fit | None, other: Fit | None) -> Fit | None:
 
 
 def exchange_starts(
-    tasks: Sequence[Task], fits: Sequence[Fit | None], map_tasks: Map, tried: Sequence[Fit | None] = ()
+    tasks: Sequence[Task], fits: Sequence[Fit | None], map_tasks: Map, old_fits: Sequence[Fit | None] = ()
 ) -> list[Fit | None]:
-    """Fit each task that is worse than a neighbour from the neighbour's fit, unless ``tried``; keep the better fit."""
+    """Fit each task that is worse than a neighbour, not in ``old_fits``, from the neighbour's fit; keep the better."""
     limit = FAR_BEYOND_BEST * least_error(fits)
-    new_fits = [fit for fit in fits if fit is not None and all(fit is not other for other in tried)]
+    new_fits = [fit for fit in fits if fit is not None and all(fit is not other for other in old_fits)]
     restarts = {
         k: (task, fit, neighbours)
         for k, (task, fit) in enumerate(zip(tasks, fits, strict=True))
@@ -202,7 +198,7 @@ def list_better_neighbours(task: Task, fit: Fit | None, fits: Sequence[Fit], lim
     ranked = sorted((other for other in fits if fits_worse(fit, other)), key=lambda other: other.geometric_mean_rms)
     best = [other for other in ranked if task.curve.contains(other.task.curve)][:1]
     best += [other for other in ranked if other.task.curve.is_ramp_of(task.curve)]  # a ramp of no width is the jump
-    if fit is None or not (fit.every_sample or fit.geometric_mean_rms > limit):
+    if fit is None or not (fit.finished or fit.geometric_mean_rms > limit):
         best += [other for other in ranked if other.task.curve.ramp == task.curve.ramp][:1]
         best += ranked[:1]
     return list(dict.fromkeys(best))
@@ -215,7 +211,7 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
         if fits_worse(fit, neighbour):
             task = task if fit is None else fit.task
             start = warm_start(task, neighbour, NARROW_START)
-            if neighbour.every_sample:
+            if neighbour.finished:
                 end = finish_from(task, start, neighbour.noise)
             else:
                 first = first_pass(task, start, neighbour.noise.without_fade)
@@ -246,7 +242,7 @@ def mark_overtaking(fits: Sequence[Fit | None], map_tasks: Map) -> list[Fit | No
         for fit, limit in zip(fits, limits, strict=True)
         if fit is not None and fit.geometric_mean_rms < limit
     ]
-    marked: dict[int, Fit] = {}
+    marked_fits: dict[int, Fit] = {}
     for k, fit in enumerate(fits):
         if fit is not None:
             curve = fit.task.curve
@@ -256,6 +252,6 @@ def mark_overtaking(fits: Sequence[Fit | None], map_tasks: Map) -> list[Fit | No
                 if other is curve or other.is_ramp_of(curve) or curve.is_ramp_of(other)
             ]
             if np.any(of_same_curve):
-                marked[k] = refit_with_overtaking(fit, np.any(of_same_curve, axis=0)) or fit
-    settled = dict(zip(marked, map_tasks(settle, list(marked.values())), strict=True))
-    return [settled.get(k) or marked.get(k) or fit for k, fit in enumerate(fits)]
+                marked_fits[k] = refit_with_overtaking(fit, np.any(of_same_curve, axis=0)) or fit
+    settled = dict(zip(marked_fits, map_tasks(settle, list(marked_fits.values())), strict=True))
+    return [settled.get(k) or marked_fits.get(k) or fit for k, fit in enumerate(fits)]

@@ -68,20 +68,16 @@ class PassNoise:
             sd.append(max(lost, LEAST_FADE_SD / motion.slip_s))
         return replace(self, fade_sd=np.array(sd))
 
-    def update_from_residuals(
+    def update(
         self, task: Task, windows: ShootingWindows, residual: Array, local: Array, *, first: bool
     ) -> "PassNoise":
         """Estimate the noise from residuals; after the first pass it never rises, so misfit is not taken for noise."""
         rms, run = windows.rms(residual), windows.run
         weights, sigma = np.ones(rms.size), self.sigma.copy()
         for k, motion in enumerate(task.problem.motions):
-            cycles_of_run = np.flatnonzero(run == k)
-            weights[cycles_of_run] = cycle_weights(
-                rms[cycles_of_run], max(float(np.median(rms[cycles_of_run])), motion.resolution)
-            )
-            run_sigma = effective_sigma(
-                residual, [windows.rows[c] for c in cycles_of_run if weights[c] > COUNTED_WEIGHT]
-            )
+            cycles = np.flatnonzero(run == k)
+            weights[cycles] = cycle_weights(rms[cycles], max(float(np.median(rms[cycles])), motion.resolution))
+            run_sigma = effective_sigma(residual, [windows.rows[c] for c in cycles if weights[c] > COUNTED_WEIGHT])
             sigma[k] = max(run_sigma if first else min(run_sigma, float(sigma[k])), motion.resolution)
         levels = local[weights > INLIER_WEIGHT, PerCycle.LEVEL]
         scatter = float(np.clip(np.std(levels), LEAST_SCATTER, MOST_SCATTER))
@@ -128,7 +124,7 @@ class Fit:
     noise: PassNoise  # for the next pass
     least_squares: LeastSquaresProblem  # of the last pass
     solution: Solution  # where it stopped
-    every_sample: bool = False  # whether the last pass took every sample
+    finished: bool = False  # whether the last pass took every sample
     cpu_s: float = 0.0  # CPU time of all passes, s
     run: int | None = None  # whose windows, cycles, residuals and unknowns ``u`` these are; None for those of all runs
 

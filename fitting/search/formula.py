@@ -139,10 +139,7 @@ class StartSearch:
     def _list_trials(self) -> list[Start]:
         """Return the best trials; for a single parameter the minima of a scan, since the true valley may be narrow."""
         tried = [name for name in self.law.free if name not in self.linear and name not in self.given]
-        first, trials = (
-            self._fit_linear(self.begin),
-            [self._fit_linear(values) for values in self._combine_values(tried)],
-        )
+        first, trials = (self._fit_linear(self.begin), [self._fit_linear(values) for values in self._combine(tried)])
         if len(tried) != 1:
             return self._select_valleys(sorted((trial for trial in [first, *trials] if trial is not None), key=_order))
         misfits = np.array([math.inf, *(math.inf if trial is None else trial.misfit for trial in trials), math.inf])
@@ -150,7 +147,7 @@ class StartSearch:
         minima = [start for start, low in zip(trials, lowest, strict=True) if low]
         return [start for start in [first, *minima] if start is not None]
 
-    def _combine_values(self, tried: Sequence[str]) -> list[dict[str, float]]:
+    def _combine(self, tried: Sequence[str]) -> list[dict[str, float]]:
         each = [self._values(name, SCANNED if len(tried) == 1 else COMBINED) for name in tried]
         if math.prod(map(len, each)) <= MOST_TRIALS:
             combined = list(product(*each))
@@ -258,9 +255,9 @@ class StartSearch:
         lowest = int(np.argmin(friction))
         if friction[lowest] >= 0 and friction[0] > 0:
             return True
-        bad, kind = (lowest, "negative") if friction[lowest] < 0 else (0, "not above 0")
-        position = self.law.curve.place(float(self.checked[bad]), all_values)
-        message = f"friction is {kind}, {friction[bad]:.4g} m/s^2, {position}"
+        index, kind = (lowest, "negative") if friction[lowest] < 0 else (0, "not above 0")
+        position = self.law.curve.place(float(self.checked[index]), all_values)
+        message = f"friction is {kind}, {friction[index]:.4g} m/s^2, {position}"
         self.refusal = self.refusal or InputError(message, "formula", "give bounds, or a form that stays above 0")
         return False
 
@@ -372,7 +369,7 @@ class FormulaCurve(FrictionCurve):
             too_far = np.abs(spline(speeds) - target) > SPLINE_ERROR * target.max()
             if not too_far.any():
                 return spline
-            bad = np.unique(np.clip(np.searchsorted(knots, speeds[too_far], side="right") - 1, 0, knots.size - 2))
-            if knots.size + bad.size > MOST_PIECES:
+            poor = np.unique(np.clip(np.searchsorted(knots, speeds[too_far], side="right") - 1, 0, knots.size - 2))
+            if knots.size + poor.size > MOST_PIECES:
                 return None
-            spline = FrictionSpline.over(np.sort(np.concatenate((knots, 0.5 * (knots[bad] + knots[bad + 1])))))
+            spline = FrictionSpline.over(np.sort(np.concatenate((knots, 0.5 * (knots[poor] + knots[poor + 1])))))

@@ -87,13 +87,13 @@ def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> F
 
 def first_pass_from_regression(task: Task, noise: PassNoise | None = None) -> Fit | None:
     """Fit from the regression, first without the ripple: under large noise any ripple frequency fits."""
-    steady = task.without(*RIPPLE)
-    if steady.places == task.places:
+    steady_task = task.without(*RIPPLE)
+    if steady_task.places == task.places:
         return first_pass(task, start_from_regression(task), noise)
-    fit = first_pass(steady, start_from_regression(steady), noise)
+    fit = first_pass(steady_task, start_from_regression(steady_task), noise)
     if fit is None:
         return None
-    return first_pass(task, FitStart(_combine_unknowns(task, fit.u, fit), fit.local), fit.noise)
+    return first_pass(task, FitStart(_join_unknowns(task, fit.u, fit), fit.local), fit.noise)
 
 
 def settle(fit: Fit, noise_m: Array | None = None) -> Fit | None:
@@ -124,7 +124,7 @@ def fit_break_away_level(fit: Fit) -> Fit:
     noise_limit = noise_levels.DESCRIBES * task.resolution
     best = fit
     for u in [] if task is fit.task else _static_starts(task, fit):
-        first = first_pass(task, FitStart(_combine_unknowns(task, u, fit), fit.local), fit.noise)
+        first = first_pass(task, FitStart(_join_unknowns(task, u, fit), fit.local), fit.noise)
         settled = settle(first) if first is not None and first.geometric_mean_rms < fit.geometric_mean_rms else None
         if settled is not None and settled.geometric_mean_rms < best.geometric_mean_rms:
             best = settled
@@ -153,7 +153,7 @@ def _static_starts(task: Task, fit: Fit) -> list[Array]:
     return [*between, *same_in_slip]
 
 
-def _combine_unknowns(task: Task, u: Array, fit: Fit) -> Array:
+def _join_unknowns(task: Task, u: Array, fit: Fit) -> Array:
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return np.concatenate([u[list(task.places)], fit.q[len(fit.task.places) :]])
 
@@ -197,9 +197,7 @@ def finish_from(task: Task, start: FitStart, noise: PassNoise, earlier_path: Pat
     if _static_gain(fit) < STATIC_GAIN:
         level, u = fit.task.without(Global.STATIC), fit.u.copy()
         _set_static(level, u, 1.0)
-        fit_without = _fit_every_sample(
-            level, FitStart(_combine_unknowns(level, u, fit), fit.local), noise, earlier_path
-        )
+        fit_without = _fit_every_sample(level, FitStart(_join_unknowns(level, u, fit), fit.local), noise, earlier_path)
         # The error of the level alone does not decide: along a bent valley a poorly constrained level may exclude 1.
         if fit_without is not None and fit_without.solution.cost - fit.solution.cost < STATIC_GAIN:
             fit = fit_without
@@ -208,14 +206,14 @@ def finish_from(task: Task, start: FitStart, noise: PassNoise, earlier_path: Pat
 
 
 def _fit_every_sample(
-    task: Task, start: FitStart, settled: PassNoise, earlier_path: Path | None, *, below_belt: bool = False
+    task: Task, start: FitStart, pass_noise: PassNoise, earlier_path: Path | None, *, below_belt: bool = False
 ) -> Fit | None:
-    noise = settled.for_last_pass
+    noise = pass_noise.for_last_pass
     windows = task.problem.windows(thinned=False)
     nodes = SampleNodes.of(windows, task.problem.thinning)
     model, model_of_nodes = task.predict(windows, flow.LONGEST_STEP), task.predict(nodes.windows, flow.LONGEST_STEP)
-    for each in (model, model_of_nodes):
-        each.settle(*start, FOLLOWED)
+    for prediction in (model, model_of_nodes):
+        prediction.settle(*start, FOLLOWED)
     residual_of_samples, residual_of_nodes = model.residual(*start), model_of_nodes.residual(*start)
     if residual_of_samples is None or residual_of_nodes is None:
         return None
@@ -230,7 +228,7 @@ def _fit_every_sample(
     solution = levenberg_marquardt.take_last_step(problem, last.solution)
     if solution is None:
         return None
-    return Fit(model, solution.u, solution.local, solution.residual, settled, problem, solution, every_sample=True)
+    return Fit(model, solution.u, solution.local, solution.residual, pass_noise, problem, solution, finished=True)
 
 
 def _restart_slips_below_belt(fit: Fit, noise: PassNoise) -> Fit:
@@ -241,12 +239,12 @@ def _restart_slips_below_belt(fit: Fit, noise: PassNoise) -> Fit:
     """
     problem, curve = fit.task.problem, fit.task.curve
     fastest = fit.windows.fastest_starts(fit.u)
-    beyond = (fit.local > fastest).any(axis=1) & noise.inliers
-    if curve.ramp or curve.law is None or curve.law.kind.curve == "constant" or not beyond.any():
+    too_fast = (fit.local > fastest).any(axis=1) & noise.inliers
+    if curve.ramp or curve.law is None or curve.law.kind.curve == "constant" or not too_fast.any():
         return fit
-    fresh = cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u)
-    below = np.minimum(np.where(beyond[:, None], fresh, fit.local), fastest)
-    refit = _fit_every_sample(fit.task, FitStart(fit.q, below), noise, None, below_belt=True)
+    smoothed_starts = cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u)
+    slower_starts = np.minimum(np.where(too_fast[:, None], smoothed_starts, fit.local), fastest)
+    refit = _fit_every_sample(fit.task, FitStart(fit.q, slower_starts), noise, None, below_belt=True)
     return refit if refit is not None and refit.solution.cost < fit.solution.cost else fit
 
 
@@ -257,8 +255,8 @@ def restart_outliers(fit: Fit) -> Array:
     if outliers is None:
         return fit.local
     problem = fit.task.problem
-    fresh = cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u)[cycles]
-    refit = levenberg_marquardt.minimise(outliers, np.empty(0), fresh, **CYCLE_RESTART)
+    smoothed_starts = cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u)[cycles]
+    refit = levenberg_marquardt.minimise(outliers, np.empty(0), smoothed_starts, **CYCLE_RESTART)
     present = outliers.evaluate(outliers.prior, fit.local[cycles], False)
     if refit is None or present is None:
         return fit.local
@@ -270,9 +268,7 @@ def restart_outliers(fit: Fit) -> Array:
 
 
 def _update_noise(fit: Fit, *, first: bool) -> Fit:
-    return replace(
-        fit, noise=fit.noise.update_from_residuals(fit.task, fit.windows, fit.residual, fit.local, first=first)
-    )
+    return replace(fit, noise=fit.noise.update(fit.task, fit.windows, fit.residual, fit.local, first=first))
 
 
 def _run_pass(
@@ -349,18 +345,18 @@ def find_overtaking(fit: Fit) -> Mask:
     ).of_cycles(fit.q, cycles)
     if candidate_problem is None:
         return overtaking
-    fresh = cycle_starts(windows, problem.motions, problem.cycles, fit.u)[cycles]
-    refit = levenberg_marquardt.minimise(candidate_problem, np.empty(0), fresh, **CYCLE_RESTART)
+    smoothed_starts = cycle_starts(windows, problem.motions, problem.cycles, fit.u)[cycles]
+    refit = levenberg_marquardt.minimise(candidate_problem, np.empty(0), smoothed_starts, **CYCLE_RESTART)
     if refit is not None:
         run = fit.windows.run
-        usual = np.array([np.median(fit.cycle_rms[run == number]) for number in run[cycles]]) ** 2
-        excess = windows.of_cycles(cycles).rms(refit.residual) ** 2 - usual
-        overtaking[cycles] = excess < OVERTAKING_EXCESS * (fit.cycle_rms[cycles] ** 2 - usual)
+        usual_square = np.array([np.median(fit.cycle_rms[run == number]) for number in run[cycles]]) ** 2
+        excess = windows.of_cycles(cycles).rms(refit.residual) ** 2 - usual_square
+        overtaking[cycles] = excess < OVERTAKING_EXCESS * (fit.cycle_rms[cycles] ** 2 - usual_square)
     return overtaking
 
 
 def refit_with_overtaking(fit: Fit, overtaking: Mask) -> Fit | None:
     problem = fit.task.problem.with_overtaking(overtaking)
-    fresh = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, fit.u)
-    local = np.where(overtaking[:, None], fresh, fit.local)
+    smoothed_starts = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, fit.u)
+    local = np.where(overtaking[:, None], smoothed_starts, fit.local)
     return first_pass(replace(fit.task, problem=problem), FitStart(fit.q, local), fit.noise)

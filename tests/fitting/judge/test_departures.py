@@ -54,9 +54,7 @@ def test_a_law_fitted_to_the_thinned_record_alone_is_compared_on_the_same_sample
     """A law far from the record does not take every sample: the gain of a departure then ended in an IndexError."""
     fit = departing(k3=HARD)
     thin = Base.at(fit, fit.problem.motions).thinned().fit
-    assert explained(replace(thin, every_sample=False))[0].explained == pytest.approx(
-        explained(fit)[0].explained, rel=0.02
-    )
+    assert explained(replace(thin, finished=False))[0].explained == pytest.approx(explained(fit)[0].explained, rel=0.02)
 
 
 @pytest.mark.slow

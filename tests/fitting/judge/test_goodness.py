@@ -58,12 +58,12 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
         noise = rng.standard_normal((wave.size, 90))
         null = bins.statistics(noise[:, :60], cycle_squares(noise[:, :60], cycles))
         run = RunSlips(None, 1.0, bins, 0.0, None, null, np.ones(12, bool), ())
-        size = goodness.amplitude_half_detected(run, *binned(wave))
+        size = goodness.detectable_amplitude(run, *binned(wave))
         for residual in (noise[:, 60:] + size * wave[:, None]).T[:, :, None]:
             seen = bins.statistics(residual, cycle_squares(residual, cycles))
             rejected.append(compute_p_value(replace(run, of_record=seen)) < REJECTED)
     assert 0.2 < np.mean(rejected) < 0.8
-    assert goodness.amplitude_half_detected(run, *binned(rng.standard_normal(wave.size))) == np.inf
+    assert goodness.detectable_amplitude(run, *binned(rng.standard_normal(wave.size))) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():

@@ -93,7 +93,7 @@ def truth(law):
 @pytest.mark.parametrize("law", CONTACTS)
 def test_a_law_with_memory_gives_its_parameters_from_positions(law):
     fit = fit_memory(MEMORY[law], [run_of(law)], nearest(law))
-    assert fit.every_sample
+    assert fit.finished
     assert fit.outcome == "converged"
     assert fit.geometric_mean_rms == pytest.approx(NOISE, rel=0.03)
     sd = np.sqrt(np.diag(SchurComplement(fit.solution.blocks).covariance))
