@@ -1,4 +1,4 @@
-"""`rank`: smoothed records are fitted, the laws compete (`fitting.judge.evidence`), and the answer is put in words."""
+"""`rank`: fit smoothed records, compare all laws (`fitting.judge.evidence`), and put the answer in words."""
 
 import logging
 import time as clock
@@ -9,7 +9,7 @@ from functools import partial
 from daq.runfile.rig import Rig
 from fitting.judge import law_fits, screening
 from fitting.judge.adequacy import assess, measure
-from fitting.judge.calibrations import LawParameters, find_contradictions, find_other_contact, with_given
+from fitting.judge.calibrations import LawParameters, apply_user_values, find_contradictions, find_other_contact
 from fitting.judge.formulas import fit_formulas, fit_memory_laws, name_better_limit
 from fitting.judge.judgement import Competition, compete
 from fitting.judge.parameters import Parameter
@@ -32,13 +32,13 @@ def rank(
     options: Options,
     progress: Callable[[float], None] | None = None,
 ) -> Ranking:
-    """Rank the laws of a record, or of several of one contact together; errors as of `fitting.rank`."""
+    """Rank the laws of one record, or of several records of one contact; raises the errors of `fitting.rank`."""
     begun = clock.process_time()
     if len(records) > 1:
         options.check_joint()
     runs = _cut(records, rigs, options)
 
-    def describing(records: Sequence[Kinematics], runs: Sequence[Run]) -> Mapping[int | str, LawParameters]:
+    def list_describing_laws(records: Sequence[Kinematics], runs: Sequence[Run]) -> Mapping[int | str, LawParameters]:
         """Return the laws that describe other runs, best first, with their parameters of each run."""
         try:
             return answer.describing(_compete(options, records, runs), options)
@@ -46,30 +46,32 @@ def rank(
             return {}
 
     def refit(free: Sequence[Run]) -> Sequence[LawParameters]:
-        return list(describing(records, free).values())
+        return list(list_describing_laws(records, free).values())
 
     try:
         competition = _compete(options, records, runs, progress, memory=True)
     except law_fits.NoLawError as refused:
-        contradicted = find_contradictions([], runs, records, refit)
+        contradictions = find_contradictions([], runs, records, refit)
         if refused.stick_slip:
-            return answer.without_law(refused.reason, contradicted, options, runs, records, begun)
-        raise screening.refusal(refused.reason, contradicted, runs, records) from None
+            return answer.without_law(refused.reason, contradictions, options, runs, records, begun)
+        raise screening.refusal(refused.reason, contradictions, runs, records) from None
     other_contact = None
     if len(runs) > 1 and (competition.runs_differ or not competition.described):
-        alone: list[Mapping[int | str, Mapping[str, Parameter]]] = []
+        laws_of_runs: list[Mapping[int | str, Mapping[str, Parameter]]] = []
         for record, run in zip(records, competition.runs, strict=True):
-            alone.append({law: own[0] for law, own in describing([record], [run]).items()})
-        other_contact = find_other_contact(alone)
+            laws_of_runs.append(
+                {law: parameters[0] for law, parameters in list_describing_laws([record], [run]).items()}
+            )
+        other_contact = find_other_contact(laws_of_runs)
     if other_contact is not None:
         competition = competition.undescribed
-    contradicted = [[] for _ in runs]
-    if other_contact is None:  # else each run is described with what was stated
-        described = list(answer.describing(competition, options).values())
-        contradicted = find_contradictions(described, competition.runs, records, refit)
+    contradictions = [[] for _ in runs]
+    if other_contact is None:  # otherwise each run was described with its calibrations
+        describing_laws = list(answer.describing(competition, options).values())
+        contradictions = find_contradictions(describing_laws, competition.runs, records, refit)
     adequacies = assess(
         competition.fits,
-        competition.judged[competition.best.law],
+        competition.judgements[competition.best.law],
         competition.curve,
         competition.noise,
         [fit for fit in competition.fits if fit.law.has_kernel] or competition.six,
@@ -77,13 +79,13 @@ def rank(
         len(options.competitors.six),
         _revolution(records),
         rejected=not competition.described,
-        explain=other_contact is None and not any(contradicted),
+        explain=other_contact is None and not any(contradictions),
     )
     for fit in competition.fits:
         member = "in the set" if fit.law in competition.members else "not in the set"
         logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law.name, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     logger.info("goodness of fit: %s", adequacies[0].said)
-    return answer.build_ranking(competition, options, records, adequacies, contradicted, other_contact, begun)
+    return answer.build_ranking(competition, options, records, adequacies, contradictions, other_contact, begun)
 
 
 def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -> list[Run]:
@@ -92,13 +94,13 @@ def _cut(records: Sequence[Kinematics], rigs: Sequence[Rig], options: Options) -
         screening.refuse_wrong_times(record)
     runs, rest = [], options.competitors.fix.get("x0")
     for record, rig in zip(records, rigs, strict=True):
-        known = rig if rest is None else rig.resting_at(Measured(rest, 0.0))
-        motion = from_kinematics(record, known, options.belt_speed)
+        stated_rig = rig if rest is None else rig.resting_at(Measured(rest, 0.0))
+        motion = from_kinematics(record, stated_rig, options.belt_speed)
         screening.refuse_few_samples(motion, record)
         runs.append(law_fits.cut_run(motion, frozenset(options.excluded)))
-        found = runs[-1].cut
-        logger.info("%s: %d cycles, %d to fit", record.recording.name, len(found.cycles), len(found.used))
-    return with_given(runs, options.competitors)
+        cut = runs[-1].cut
+        logger.info("%s: %d cycles, %d to fit", record.recording.name, len(cut.cycles), len(cut.used))
+    return apply_user_values(runs, options.competitors)
 
 
 def _compete(
@@ -109,25 +111,25 @@ def _compete(
     *,
     memory: bool = False,
 ) -> Competition:
-    """Let all laws compete, with ``memory`` those too that have one; NoLawError where none comes near the record."""
+    """Compare all laws; with ``memory`` also laws with memory. Raise NoLawError where no law fits roughly."""
     competitors = options.competitors
-    six, runs, sustained, doubt = law_fits.fit_runs(options, runs, records, progress)
+    six, runs, sustained, refusal = law_fits.fit_runs(options, runs, records, progress)
     nearest, curve = measure(six, [run.motion for run in runs], options.alpha)
     formulas, missing, warnings = fit_formulas(competitors, curve, six, sustained=sustained)
-    direct = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
-    lost = {fit.law: name_better_limit(fit, six) for fit in direct}
-    fits = [*(fit for fit in direct if not lost[fit.law]), *formulas]
-    if doubt and not screening.list_near(formulas, runs):
-        law_fits.refuse(doubt, records)
+    fits_of_six = [fit for fit in six if fit.law in competitors.laws and competitors.by_kernel(fit.law)]
+    reasons_lost = {fit.law: name_better_limit(fit, six) for fit in fits_of_six}
+    fits = [*(fit for fit in fits_of_six if not reasons_lost[fit.law]), *formulas]
+    if refusal and not screening.list_near(formulas, runs):
+        law_fits.refuse(refusal, records)
     if sustained:
-        followed = {*lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
-        lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in followed}
-    missing = [*(Unfitted(law, why) for law, why in lost.items() if why), *missing]
+        fitted_laws = {*reasons_lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
+        reasons_lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in fitted_laws}
+    missing = [*(Unfitted(law, why) for law, why in reasons_lost.items() if why), *missing]
     if not any(competitors.asks(fit.law) for fit in fits):
-        reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, asked in missing if asked)
-        where = ", ".join(record.recording.where for record in records)
-        raise DataError(f"none of the requested laws can be fitted ({reasons})", where, "add laws, as --laws 1-6")
-    judge = partial(compete, noise=nearest.noise, known=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
+        reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, requested in missing if requested)
+        sources = ", ".join(record.recording.where for record in records)
+        raise DataError(f"none of the requested laws can be fitted ({reasons})", sources, "add laws, as --laws 1-6")
+    judge = partial(compete, noise=nearest.noise, nearest=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
     competition = judge(fits)
     if memory and sustained and not competition.described:
         with_memory = judge([*fits, *fit_memory_laws(competitors, runs, six, nearest.noise)])
@@ -145,9 +147,9 @@ def _compete(
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
-    """Return the encoder's travel per revolution, m, if the same in all runs."""
-    found = set()
+    """Return the encoder's travel per revolution, m, if it is the same in all runs."""
+    travels = set()
     for record in records:
         pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution
-        found.add(None if pitch is None or counts is None else abs(pitch.value) * counts)
-    return found.pop() if len(found) == 1 else None
+        travels.add(None if pitch is None or counts is None else abs(pitch.value) * counts)
+    return travels.pop() if len(travels) == 1 else None

@@ -16,7 +16,7 @@ from fitting.judge.adequacy import Adequacy
 from fitting.judge.breaks import motion_at
 from fitting.judge.curve import BandExit, MeasuredCurve
 from fitting.judge.parameters import (
-    RUNS_OWN,
+    RUN_PARAMETERS,
     STATED_ERROR,
     BreakAway,
     Correlations,
@@ -609,7 +609,7 @@ class Ranking:
         found = correlations(fit, motion)
         if not self.runs:
             return found
-        return replace(found, names=tuple(f"{name} (1)" if name in RUNS_OWN else name for name in found.names))
+        return replace(found, names=tuple(f"{name} (1)" if name in RUN_PARAMETERS else name for name in found.names))
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the laws as a pandas table, best first.

@@ -277,7 +277,7 @@ def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: 
 def _held(spread: Array, rig: FittedRig) -> Array:
     """Return the covariance with the rest position fixed where it is assumed only."""
     fit, curve = rig.fit, rig.curve
-    assumed = curve.law is None or fit.held_rest is not None or curve.kind in ("constant", "linear")
+    assumed = curve.law is None or fit.assumed_rest is not None or curve.kind in ("constant", "linear")
     if rig.motion.datum_prior is not None or not assumed:
         return spread
     place = rig.slots.index(Global.DATUM)
@@ -299,7 +299,7 @@ def _move_of_rest(rig: FittedRig) -> Array:
     if rig.motion.datum_prior is not None:
         return moved
     place = rig.slots.index(Global.DATUM)
-    default = rig.fit.held_rest or rest_calibration(rig.fit.problem.runs[0])
+    default = rig.fit.assumed_rest or rest_calibration(rig.fit.problem.runs[0])
     moved[place] = default.value - rig.unknowns[place]
     knots = rig.fit.spline.knots
     friction = rig.friction(rig.unknowns + moved, np.linspace(0.0, knots[-1], 20 * knots.size))

@@ -1,6 +1,6 @@
-"""Whether a law describes a record; the friction curve without a law; and what else acts where none does.
+"""Goodness of fit of the laws, the model-free friction curve, and departures where no law describes the record.
 
-`measure` judges the nearest of the six and measures the curve; `assess` concludes, once all laws have competed.
+`measure` judges the nearest of the six and measures the curve. `assess` draws the conclusions once all laws are ranked.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +20,7 @@ from fitting.judge.goodness import (
     cycle_squares,
     goodness_of_fit,
     judge,
-    left_out,
+    select_left_out,
     smallest_visible,
 )
 from fitting.judge.linearised import LinearisedFit, Repeat
@@ -39,18 +39,20 @@ NOT_JUDGED = "not judged"
 
 @dataclass(frozen=True, eq=False)
 class Adequacy:
-    # `NONE_OF_SIX`: a curve may; `NOT_OF_SPEED`: not even a curve; `NONE_FITTED`: of fewer than six; None: not judged
+    # `NONE_OF_SIX`: another curve may describe it; `NOT_OF_SPEED`: no curve does; `NONE_FITTED`: of fewer than six laws
     verdict: str | None
     noise_m: float  # standard deviation of one position, m
     goodness: GoodnessOfFit | None = None  # of the law that was judged; None where no law could be fitted at all
-    smallest_visible: float | None = None  # departure, % of Fs, that half of all repetitions of the record would show
-    # friction against relative speed without a law, in newtons where mass or stiffness is known
+    smallest_visible: float | None = None  # departure, % of Fs, detected in half of all repetitions of the record
+    # model-free friction against relative speed, in newtons where mass or stiffness is known
     curve: MeasuredCurve | None = None
     curve_goodness: GoodnessOfFit | None = None  # None where the curve was not judged
-    outside_band: Mapping[int | str, BandExit] = field(default_factory=dict)  # where each law leaves the band furthest
+    outside_band: Mapping[int | str, BandExit] = field(
+        default_factory=dict
+    )  # each law's largest distance from the band
     unit: str = "N/kg"  # of the curve's friction
-    departures: tuple[FittedDeparture, ...] = ()  # those with which a law describes the record, strongest first
-    # standard deviation of random friction within slips, over Fs, where that is what no law describes
+    departures: tuple[FittedDeparture, ...] = ()  # with which a law describes the record, strongest first
+    # standard deviation of random friction within slips, over Fs, where that explains the misfit
     fluctuation: float | None = None
 
     @property
@@ -63,7 +65,7 @@ class Adequacy:
 
     @property
     def rejected(self) -> bool:
-        """Whether no law describes the record; neither this nor `adequate` holds where nothing could be judged."""
+        """Whether no law describes the record. False, as is `adequate`, where nothing could be judged."""
         return self.verdict is not None and not self.adequate
 
     @property
@@ -71,14 +73,14 @@ class Adequacy:
         return self.curve is not None and (self.curve_goodness is None or not self.curve_goodness.rejected)
 
     def as_json(self) -> dict[str, Any]:
-        found = self.goodness
+        goodness = self.goodness
         return {
             "verdict": self.verdict,
             "noise_m": self.noise_m,
-            "misfit": found and found.misfit,
-            "lag1": found and found.lag1,
-            "repeat": found and found.repeat,
-            "p_value": found and found.p_value,
+            "misfit": goodness and goodness.misfit,
+            "lag1": goodness and goodness.lag1,
+            "repeat": goodness and goodness.repeat,
+            "p_value": goodness and goodness.p_value,
             "smallest_visible": self.smallest_visible,
             "departures": [departure.as_json() for departure in self.departures],
             "curve": None if self.curve is None else curve_as_json(self.curve, self.unit),
@@ -100,36 +102,36 @@ def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class LawJudgement:
     fit: Fit
-    faults: Mask | None  # (cycles,) those that a fault of the record spoilt; None where derivatives cannot be followed
+    faults: Mask | None  # (cycles,) cycles with a fault of the record; None where the fit cannot be linearised
     slips: tuple[RunSlips, ...]
-    together: GoodnessOfFit
-    each: tuple[GoodnessOfFit, ...]
+    joint: GoodnessOfFit
+    by_run: tuple[GoodnessOfFit, ...]
 
     @property
     def noise(self) -> Array:
         """(runs,) standard deviation of one position, m."""
-        return np.array([own.noise_m for own in self.slips])
+        return np.array([run.noise_m for run in self.slips])
 
     @property
-    def usual(self) -> LinearisedFit | None:
-        """The linearised fit without the spoilt cycles."""
+    def without_faults(self) -> LinearisedFit | None:
+        """The linearised fit without the cycles that have faults."""
         linear = LinearisedFit.at(self.fit)
         return None if linear is None or self.faults is None else linear.without(self.faults)
 
 
 def measure(
     fits: Sequence[Fit], motions: Sequence[MeasuredMotion], alpha: float = 0.05
-) -> tuple[Judged, MeasuredCurve | None]:
+) -> tuple[LawJudgement, MeasuredCurve | None]:
     """Judge the nearest of the six, and measure the friction curve, per unit mass, with a band of 1 - alpha."""
-    judged = _judged(min(fits, key=lambda fit: fit.geometric_mean_rms), motions)
+    judged = _judge_fit(min(fits, key=lambda fit: fit.geometric_mean_rms), motions)
     return judged, measure_curve(sorted(fits, key=lambda fit: fit.law != judged.fit.law), judged.noise, alpha)
 
 
 def assess(
     ranked: Sequence[Fit],
-    chosen: Judged,
+    judgement: LawJudgement,
     curve: MeasuredCurve | None,
     noise: Array,
     nearest: Sequence[Fit],
@@ -140,11 +142,12 @@ def assess(
     rejected: bool,
     explain: bool = True,
 ) -> list[Adequacy]:
-    """Return how well the first of the ``ranked`` laws describes the runs, and what else acts where it is ``rejected``.
+    """Return how well the first of the ``ranked`` laws describes the runs, with departures where it is ``rejected``.
 
-    The first result is of all runs together; of several runs one follows for each, without curve and departures.
-    ``nearest`` are the fits to try departures with, best first; ``laws`` is how many of the six were requested; without
-    ``explain`` the cause is known already; a ``revolution`` (encoder travel, m) of None is scanned for.
+    The first result is for all runs together. If there are several, one result per run follows, without curve and
+    departures. ``nearest`` are the fits to combine with departures, best first. ``laws`` is how many of the six were
+    requested. ``explain`` is false where the cause is known already. The encoder's travel per ``revolution``, m, is
+    scanned if it is None.
     """
     curve_goodness = None
     if curve is not None and (rejected or curve.chi > noise_levels.CLEARLY_ABOVE):
@@ -152,38 +155,38 @@ def assess(
     of_speed = curve is not None and (curve_goodness is None or not curve_goodness.rejected)
     outcome: str | None
     if not rejected:
-        outcome = ADEQUATE if chosen.together.judged else None
+        outcome = ADEQUATE if judgement.joint.judged else None
     elif laws < len(ALL_LAWS):
         outcome = NONE_FITTED
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FittedDeparture, ...] = ()
     if curve is not None and rejected and explain:
-        departures = _departures(nearest, curve, motions, noise, revolution)
+        departures = _fit_departures(nearest, curve, motions, noise, revolution)
     fluctuation = None
     if rejected and explain and not departures:
-        base = Base.at(chosen.fit, motions, revolution)
+        base = Base.at(judgement.fit, motions, revolution)
         if base is not None:
-            count_repeated, repeated = partial(_count_repeated, chosen), chosen.together.repeat
+            count_repeated, repeated = partial(_count_repeated, judgement), judgement.joint.repeat
             fluctuation = fluctuation_share(base, repeated, count_repeated, float(np.max(noise)))
-    usual = chosen.usual
+    usual = judgement.without_faults
     visible: tuple[float | None, ...] = (None,) * len(motions)
     if usual is not None:
-        visible = smallest_visible(chosen.fit, usual, chosen.slips)
+        visible = smallest_visible(judgement.fit, usual, judgement.slips)
     together = Adequacy(
         outcome,
-        chosen.together.noise_m,
-        chosen.together,
+        judgement.joint.noise_m,
+        judgement.joint,
         min((size for size in visible if size is not None), default=None),
         departures=departures,
         fluctuation=fluctuation,
     )
     if curve is not None:
         mass = known_mass(motions[0], curve)
-        shown = replace(curve, k_over_m=replace(curve.k_over_m, trusted=of_speed))
+        curve_of_record = replace(curve, k_over_m=replace(curve.k_over_m, trusted=of_speed))
         together = replace(
             together,
-            curve=shown if mass is None else in_newtons(shown, mass),
+            curve=curve_of_record if mass is None else in_newtons(curve_of_record, mass),
             curve_goodness=curve_goodness,
             outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
             unit="N/kg" if mass is None else "N",
@@ -193,34 +196,34 @@ def assess(
     return [
         together,
         *(
-            Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
-            for own, size in zip(chosen.each, visible, strict=True)
+            Adequacy(outcome if run.rejected else ADEQUATE if run.judged else None, run.noise_m, run, size)
+            for run, size in zip(judgement.by_run, visible, strict=True)
         ),
     ]
 
 
-def describing(
-    fits: Sequence[Fit], motions: Sequence[MeasuredMotion], noise: float, known: Mapping[Law, Judged]
-) -> dict[Law, Judged]:
-    """Return the goodness of fit of the nearest law, and of those within `noise_levels.LOST` times the ``noise``, m."""
+def judge_near_laws(
+    fits: Sequence[Fit], motions: Sequence[MeasuredMotion], noise: float, judged: Mapping[Law, LawJudgement]
+) -> dict[Law, LawJudgement]:
+    """Return the goodness of fit of the nearest law, and of laws within `noise_levels.LOST` times the ``noise``, m."""
     nearest = min(fits, key=lambda fit: fit.geometric_mean_rms)
     return {
-        fit.law: known.get(fit.law) or _judged(fit, motions)
+        fit.law: judged.get(fit.law) or _judge_fit(fit, motions)
         for fit in fits
         if fit is nearest or fit.geometric_mean_rms < noise_levels.LOST * noise
     }
 
 
-def _count_repeated(chosen: Judged, residuals: Array) -> Array:
-    """Return the share of residuals (N, B) that repeats from slip to slip, the mean over the runs' slips, (B,)."""
-    judged, squares = [own for own in chosen.slips if own.bins.judged], cycle_squares(residuals, chosen.fit.rows)
-    repeated = [own.bins.statistics(residuals, squares[own.counted]).repeat for own in judged]
-    return np.asarray(np.average(repeated, axis=0, weights=[own.bins.slips for own in judged]))
+def _count_repeated(judgement: LawJudgement, residuals: Array) -> Array:
+    """Return the share of residuals (N, B) that repeats from slip to slip, averaged over all slips, (B,)."""
+    runs, squares = [run for run in judgement.slips if run.bins.judged], cycle_squares(residuals, judgement.fit.rows)
+    repeated = [run.bins.statistics(residuals, squares[run.judged_cycles]).repeat for run in runs]
+    return np.asarray(np.average(repeated, axis=0, weights=[run.bins.slips for run in runs]))
 
 
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
-    """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
-    return any(not _judged(fit, motions).together.rejected for fit in fits)
+    """Return whether the residual of one of the laws is noise, as far as that can be judged."""
+    return any(not _judge_fit(fit, motions).joint.rejected for fit in fits)
 
 
 def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
@@ -230,36 +233,36 @@ def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
     return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
 
 
-def _judged(fit: Fit, motions: Sequence[MeasuredMotion]) -> Judged:
+def _judge_fit(fit: Fit, motions: Sequence[MeasuredMotion]) -> LawJudgement:
     linearised = LinearisedFit.at(fit)
     if linearised is None:
-        # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
+        # Without derivatives the repetitions are not fitted again, and their residuals are larger.
         faults, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
-        slips = judge(fit.residual, partial(_unchanged, fit.windows.blocks), fit, motions, nowhere)
+        slips = judge(fit.residual, partial(_return_unchanged, fit.windows.blocks), fit, motions, nowhere)
     else:
-        faults, slips = _judged_without_faults(linearised, fit, motions)
-    return Judged(fit, faults, slips, *goodness_of_fit(slips))
+        faults, slips = _judge_without_faults(linearised, fit, motions)
+    return LawJudgement(fit, faults, slips, *goodness_of_fit(slips))
 
 
-def _unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Block, Array]]:
+def _return_unchanged(blocks: Sequence[Block], residuals: Repeat) -> Iterator[tuple[Block, Array]]:
     return zip(blocks, residuals(blocks), strict=True)
 
 
-def _judged_without_faults(
+def _judge_without_faults(
     linear: LinearisedFit, fit: Fit, motions: Sequence[MeasuredMotion]
 ) -> tuple[Mask, tuple[RunSlips, ...]]:
-    """Return the cycles (cycles,) that a fault of the record spoilt, and the slips of the fit without them."""
+    """Return the cycles (cycles,) with a fault of the record, and the slips of the fit without them."""
     landings = np.array([cycle.landing for cycle in fit.cycles])
-    faults = left_out(linear, fit.windows, landings, fit.windows.spoilt(linear.residual))
+    faults = select_left_out(linear, fit.windows, landings, fit.windows.spoilt(linear.residual))
     usual = linear.without(faults)
     return faults, judge(usual.residual, usual.refit, fit, motions, faults)
 
 
 def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
-    return goodness_of_fit(_judged_without_faults(curve.linear, curve.spline_fit, motions)[1])[0]
+    return goodness_of_fit(_judge_without_faults(curve.linear, curve.spline_fit, motions)[1])[0]
 
 
-def _departures(
+def _fit_departures(
     fits: Sequence[Fit],
     curve: MeasuredCurve,
     motions: Sequence[MeasuredMotion],
@@ -268,8 +271,8 @@ def _departures(
 ) -> tuple[FittedDeparture, ...]:
     """Return the departures with which a law describes the runs; ``fits``, best first."""
 
-    def describes(refit: Refit) -> bool:
-        _, slips = _judged_without_faults(refit.base.linear, refit.fit, motions)
+    def describes_record(refit: Refit) -> bool:
+        _, slips = _judge_without_faults(refit.base.linear, refit.fit, motions)
         return not goodness_of_fit(slips)[0].rejected
 
-    return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes)
+    return explain_misfit(fits, curve, motions, float(np.max(noise)), revolution, describes_record)

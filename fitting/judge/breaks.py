@@ -1,7 +1,7 @@
-"""Each break-away separately, with its time, its load and the friction in the slip after it; the motion at any times.
+"""The time and load of each break-away and the friction in the slip after it; the fitted motion at any times.
 
-The load at break-away is not read from the smoothed corner (6 to 7 % off): the start time of a slip under the fitted
-law that passes through the measured positions around the corner is searched instead.
+The smoothed corner gives the load at break-away 6 to 7 % too low or high.  So the time is searched at which a slip
+under the fitted law must start to pass through the measured positions around the corner.
 """
 
 import math
@@ -20,22 +20,22 @@ from stickslip.compute.arrays import Array
 
 # Times in slips (`MeasuredMotion.slip_s`).
 SEARCH_RANGE, SEARCH_STEP = 0.3, 2e-4  # about the smoothed break-away
-JUDGED_SLIP = 0.1  # length of the slip that the break-away is judged by
-SEARCH_ROUNDS, TRIALS = 3, 21  # rounds and trials of the search: each round looks closer, about the best trial before
-POOR_CYCLE = 3.0  # error over a cycle's usual one: a larger one means that something else happened in it
+JUDGED_SLIP = 0.1  # duration of the slip after it that is compared
+SEARCH_ROUNDS, TRIALS = 3, 21  # rounds, and trials of each; the next round refines the interval about the best trial
+POOR_CYCLE = 3.0  # error of a cycle over the median, above which its break-away is flagged as rough
 
 
 def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
     times, loads = _break_aways(fit, motion)
-    usual = float(np.median(fit.cycle_rms))
-    place = {cycle.number: k for k, cycle in enumerate(fit.cycles)}
+    usual_rms = float(np.median(fit.cycle_rms))
+    index_of = {cycle.number: k for k, cycle in enumerate(fit.cycles)}
     rows = []
     for cycle in cut.cycles:
-        k = place.get(cycle.number)
+        k = index_of.get(cycle.number)
         if k is None:
             rows.append(BreakAway(cycle.number, cycle.break_away, math.nan, math.nan, cycle.flag))
             continue
-        rough = fit.cycle_rms[k] > POOR_CYCLE * max(usual, motion.resolution)
+        rough = fit.cycle_rms[k] > POOR_CYCLE * max(usual_rms, motion.resolution)
         scale = math.exp(float(fit.local[k, PerCycle.LEVEL]))
         rows.append(BreakAway(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
     return tuple(rows)
@@ -44,7 +44,7 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
 def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
     """Return times, s, and friction over Fs/m; the search begins where the load reaches the next slip's level.
 
-    Under a law with memory a slip begins gradually: as the smoothed motion shows it.
+    Under a law with memory a slip begins gradually, so the times of the smoothed motion are used.
     """
     count = len(fit.cycles)
     if fit.law.rate:
@@ -59,8 +59,8 @@ def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
         best = trials[np.arange(count), np.argmin(_misfit(fit, motion, trials), axis=1)]
         step = (high - low) / (TRIALS - 1)
         low, high = np.maximum(best - step, earliest), best + step
-    place = np.array([_in_stick(fit, motion, k, best[k : k + 1])[0] for k in range(count)])
-    return best, _friction(fit, best, place) / fit.values.F
+    position = np.array([_in_stick(fit, motion, k, best[k : k + 1])[0] for k in range(count)])
+    return best, _friction(fit, best, position) / fit.values.F
 
 
 def _belt_ripple(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
@@ -92,8 +92,8 @@ def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
     reach = SEARCH_RANGE * motion.slip_s
     time = np.arange(smoothed - reach, smoothed + reach, SEARCH_STEP * motion.slip_s)
     level = math.exp(float(fit.u[Global.LOG_F] + fit.local[k, PerCycle.LEVEL]))
-    enough = _friction(fit, time, _in_stick(fit, motion, k, time)) >= level
-    return float(time[np.argmax(enough)]) if enough.any() else smoothed
+    reached = _friction(fit, time, _in_stick(fit, motion, k, time)) >= level
+    return float(time[np.argmax(reached)]) if reached.any() else smoothed
 
 
 def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
@@ -135,14 +135,14 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     model = fit.residual_in(windows, np.array(local))
     if model is None:
         return np.full(trials.shape, np.inf)
-    for k, j, start, last, at in owner:
-        slipping = model[at + 1 : at + 1 + last - start] - motion.measured[start:last]
+    for k, j, start, last, first_row in owner:
+        slipping = model[first_row + 1 : first_row + 1 + last - start] - motion.measured[start:last]
         errors[k, j] += float(np.sum(slipping**2))
     return errors
 
 
 def _in_stick(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
-    """Return the position if the mass had not left the belt, m."""
+    """Return the position of a mass that still sticks to the belt, m."""
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:
         return np.interp(time, motion.time, motion.position)
@@ -156,35 +156,35 @@ def motion_at(fit: Fit, time: Array) -> tuple[Array, Array]:
 
     From a cycle's stick window to its slip window the stick is continued; outside the fitted cycles it is NaN.
     """
-    windows, asked = fit.windows, np.asarray(time, np.float64)
-    flat, count = asked.ravel(), windows.table[:, 3]
+    windows, requested = fit.windows, np.asarray(time, np.float64)
+    flat, count = requested.ravel(), windows.table[:, 3]
     begin, end = _spans(windows)
     order = np.argsort(begin)
     owner = order[np.maximum(np.searchsorted(begin[order], flat, side="right") - 1, 0)]
     inside = (begin[owner] <= flat) & (flat <= end[owner])
-    # among the window's own samples: the steps between those are as short as the flow needs
+    # with the window's samples: the steps between those are short enough for the integration
     times = np.concatenate([windows.time, flat[inside]])
     owners = np.concatenate([np.repeat(np.arange(count.size), count), owner[inside]])
     order = np.lexsort((times, owners))
     table = windows.table.copy()
     table[:, 3] = np.bincount(owners, minlength=count.size)
     table[:, 2] = np.cumsum(table[:, 3]) - table[:, 3]
-    nothing = np.zeros(times.size)
-    with_asked = replace(
-        windows, table=table, time=times[order], position=nothing, source=nothing.astype(np.int64), rows=(), parts=()
+    zeros = np.zeros(times.size)
+    requested_windows = replace(
+        windows, table=table, time=times[order], position=zeros, source=zeros.astype(np.int64), rows=(), parts=()
     )
-    motion = fit.motion_in(with_asked)
+    motion = fit.motion_in(requested_windows)
     if motion is None:
         raise RuntimeError("the motion of a fit can be followed")
-    back = np.empty(times.size, np.int64)
-    back[order] = np.arange(times.size)
-    found = np.full((2, flat.size), np.nan)
-    found[:, inside] = motion[:, back[windows.time.size :]]
-    return found[0].reshape(asked.shape), found[1].reshape(asked.shape)
+    unsorted = np.empty(times.size, np.int64)
+    unsorted[order] = np.arange(times.size)
+    motion_of_run = np.full((2, flat.size), np.nan)
+    motion_of_run[:, inside] = motion[:, unsorted[windows.time.size :]]
+    return motion_of_run[0].reshape(requested.shape), motion_of_run[1].reshape(requested.shape)
 
 
 def _spans(windows: ShootingWindows) -> tuple[Array, Array]:
-    """Return start and end of each window, s: of a stick to the slip, else to a sample after the last."""
+    """Return start and end of each window, s; a stick ends where its slip begins, others a sample after their last."""
     table = windows.table
     begin, last = windows.time[table[:, 2]], windows.time[table[:, 2] + table[:, 3] - 1]
     end = last + float(np.median(np.diff(windows.time)))

@@ -1,10 +1,10 @@
-"""Which assumption breaks: departures with which a law describes a record that no law describes alone.
+"""Departures: violated assumptions with which a law describes a record that no law describes alone.
 
-The gain of a score test on the best law and on the free curve chooses the order in which departures are tried: a law
-that is wrong by itself can hide a departure, and a free curve can take part of one up. The columns of a departure are
-projected off everything that the fit adjusts (`fitting.judge.linearised`), so one linear step gives its parameters and
-its gain; a frequency or wavelength is scanned on a thinned record. Each departure is then fitted together with a law,
-whose motion follows it; a scanned scale is one more unknown.
+Score tests on the best law and on the free curve give the order in which departures are tried: a wrong law can hide a
+departure, and a free curve can absorb part of one. The columns of a departure are projected off all unknowns of the fit
+(`fitting.judge.linearised`), so one linear step gives its parameters and its gain. A frequency or wavelength is scanned
+on a thinned record. Each departure is then fitted together with a law, as part of its motion; a scanned scale is one
+more unknown.
 
 Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests).
 """
@@ -22,7 +22,7 @@ from fitting.distributions import fisher_log_tail, normal_quantile
 from fitting.judge.curve import MeasuredCurve
 from fitting.judge.library import DEPARTURES
 from fitting.judge.linearised import LinearisedFit
-from fitting.judge.parameters import Parameter, covariances, derived_parameters, without_level_errors
+from fitting.judge.parameters import Parameter, covariances, derived_parameters, remove_level_errors
 from fitting.model.flow import SEARCH_STEP
 from fitting.model.forces import Departure, FittedMotion, Force, Forcing
 from fitting.model.path import Path
@@ -30,7 +30,7 @@ from fitting.model.predict import FitStart, Model, Task
 from fitting.model.tangents import tangents
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
-from fitting.search.passes import finish, first_pass, regressed_start, settle
+from fitting.search.passes import finish, first_pass, settle, start_from_regression
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
@@ -47,13 +47,13 @@ class Scale:
 @dataclass(frozen=True)
 class FittedDeparture:
     name: str
-    sigmas: float  # of a normal variable that is as unlikely after as many trials
+    sigmas: float  # significance in standard deviations, corrected for the number of trials
     parameter: str  # symbol of its size
     value: float
     stderr: float
     unit: str
-    text: str  # what it says of the rig
-    explained: float  # share of the misfit beyond the noise that it explains
+    text: str  # what is different in the rig
+    explained: float  # share of the misfit above the noise that it explains
     law: int | str  # the law that describes the record together with it
     parameters: Mapping[str, Parameter]  # of that law
     scale: Scale | None = None
@@ -62,7 +62,7 @@ class FittedDeparture:
     def as_json(self) -> dict[str, Any]:
         names = ("name", "sigmas", "parameter", "value", "stderr", "unit", "text", "explained", "refitted", "law")
         row = {name: getattr(self, name) for name in names}
-        row["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
+        row["parameters"] = {name: parameter.as_json() for name, parameter in self.parameters.items()}
         if self.scale is not None:
             row["scale"] = vars(self.scale)
         return row
@@ -90,7 +90,7 @@ class Base:
         return cls(fit, linear, path, FittedMotion.from_path(path, records, linear.residual, revolution))
 
     def thinned(self) -> "Base":
-        """Return the base on the samples of a first pass, which suffice to choose a scale."""
+        """Return the base on a thinned record, which suffices to choose a scale."""
         windows = self.fit.task.problem.windows(thinned=True)
         model = Model(self.fit.task, windows, SEARCH_STEP)
         residual = model.residual(self.fit.q, self.fit.local)
@@ -100,7 +100,7 @@ class Base:
         return Base.at(thin, self.motion.records, self.motion.revolution) or self
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
-        """Return the response (N, columns of all) of the positions to forcings of one kind."""
+        """Return the response (N, all columns) of the positions to forcings of one kind."""
         acceleration, belt_speed, reading = (
             None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True)
         )
@@ -117,15 +117,15 @@ class Base:
         return max(self.linear.cost - expected, 0.0)
 
 
-def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
-    """Return the median of the cycles' rms, m, which spoilt cycles do not move."""
+def median_rms(residual: Array, rows: Sequence[slice]) -> float:
+    """Return the median of the cycles' rms, m, which is robust against outlier cycles."""
     return math.sqrt(float(np.median([np.mean(residual[cycle] ** 2) for cycle in rows])))
 
 
-# Share of a column's curvature left after the projection: with less, the fit adjusts it already. Rounding leaves 1e-11,
-# quadratic drag 2e-7.
+# Smallest curvature of a column after the projection, over that before: below it, the fit's unknowns absorb the column.
+# Rounding gives 1e-11, quadratic drag 2e-7.
 LEAST_KEPT = 1e-9
-RIDGE = 1e-12  # added to a curvature, over it, so that two equal columns stay solvable
+RIDGE = 1e-12  # added to a curvature, relative to it, so that two equal columns can be solved for
 
 
 def log_probability(coefficients: Array, covariance: Array, cycles: int) -> float:
@@ -136,7 +136,7 @@ def log_probability(coefficients: Array, covariance: Array, cycles: int) -> floa
 
 
 def sigmas(log_p: float, trials: float = 1.0) -> float:
-    """Return the standard deviations of a normal variable with two-sided tail exp(log_p), after so many trials."""
+    """Return the significance, in standard deviations, of a two-sided tail exp(log_p) after this number of trials."""
     log_tail = min(log_p + math.log(max(trials, 1.0)), 0.0) - math.log(2)
     if log_tail > -700:
         return max(-normal_quantile(math.exp(log_tail)), 0.0)
@@ -150,10 +150,10 @@ def solve(matrix: Array, right: Array) -> Array:
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])
 
 
-LEAST_GAIN = 12.0  # of a reported departure; a true law alone allows gains of 6
-LEAST_COST_SHARE = 0.01  # gain over the whole cost: patterns of counts explain 0.4 %
-SCALES_AT_ONCE = 16  # curvatures between all columns are made, and only those of one scale used
-# Scales tried about the best of a scan, in steps between neighbours.
+LEAST_GAIN = 12.0  # smallest gain of a reported departure; on a true law gains reach 6
+LEAST_COST_SHARE = 0.01  # smallest gain over the cost: patterns of rounded counts give 0.4 %
+SCALES_AT_ONCE = 16  # scales in one computation of curvatures, of which only those within a scale are used
+# Scales tried near the best one of a scan, in steps of the scan.
 STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 
@@ -175,22 +175,22 @@ def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
 
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
-    """Return the departures that lower the cost by more than noise; a drag dissipates energy."""
-    thin, least = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
+    """Return the departures that lower the cost by more than noise; a drag must dissipate energy."""
+    thin, least_gain = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
     misfit = base.misfit_beyond_noise(noise)
-    found = []
+    candidates = []
     for departure in DEPARTURES:
-        scale = best_scale(thin, departure)
+        scale = find_best_scale(thin, departure)
         if scale is None:
             continue
-        size, gain = (part[0] for part in linear_steps(base, departure, np.array([scale])))
-        if gain > least and (departure.drag is None or size[0] > 0):
-            found.append(Candidate(departure, scale, size, float(gain) / max(misfit, LEAST_GAIN)))
-    return found
+        size, gain = (step[0] for step in linear_steps(base, departure, np.array([scale])))
+        if gain > least_gain and (departure.drag is None or size[0] > 0):
+            candidates.append(Candidate(departure, scale, size, float(gain) / max(misfit, LEAST_GAIN)))
+    return candidates
 
 
-def best_scale(base: Base, departure: Departure) -> float | None:
-    """Return the scale that explains most, NaN of a departure without one, None where the record has room for none."""
+def find_best_scale(base: Base, departure: Departure) -> float | None:
+    """Return the scale with the largest gain; NaN for a departure without scale, None if the record is too short."""
     if departure.scales is None:
         return math.nan
     scales = departure.scales(base.motion)
@@ -202,43 +202,44 @@ def best_scale(base: Base, departure: Departure) -> float | None:
     top = int(np.argmax(gain))
     gaps = np.abs(np.diff(np.log(scales)))
     gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
-    nearer = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
-    return float(nearer[np.argmax(linear_steps(base, departure, nearer)[1])])
+    nearby = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
+    return float(nearby[np.argmax(linear_steps(base, departure, nearby)[1])])
 
 
 def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array, Array]:
-    """Return coefficients (s, columns) and decrease of the cost (s,) at each scale; 0 where the fit adjusts them."""
+    """Return coefficients (s, columns) and decrease of the cost (s,) at each scale; 0 where the fit absorbs them."""
     coefficients, gain = np.zeros((scales.size, departure.columns)), np.zeros(scales.size)
-    for part in np.array_split(np.arange(scales.size), math.ceil(scales.size / SCALES_AT_ONCE)):
-        columns = base.respond([departure.forcing(base.motion, float(scale)) for scale in scales[part]])
-        scores, shape = base.linear.scores(columns), (part.size, departure.columns)
-        every = np.arange(columns.shape[1]).reshape(shape)
-        information = scores.information[every[:, :, np.newaxis], every[:, np.newaxis]]
+    for chunk in np.array_split(np.arange(scales.size), math.ceil(scales.size / SCALES_AT_ONCE)):
+        columns = base.respond([departure.forcing(base.motion, float(scale)) for scale in scales[chunk]])
+        scores, shape = base.linear.scores(columns), (chunk.size, departure.columns)
+        column_of = np.arange(columns.shape[1]).reshape(shape)
+        information = scores.information[column_of[:, :, np.newaxis], column_of[:, np.newaxis]]
         size, raw, gradient = (
             np.einsum("skk->sk", information),
             scores.raw.reshape(shape),
             scores.gradient.reshape(shape),
         )
-        # beside an unstable motion the response to a force grows beyond all numbers
+        # the response of an unstable motion to a force overflows
         usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(gradient)
-        kept = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)
-        coefficients[part[kept]] = -solve(information[kept], gradient[kept])
-        gain[part[kept]] = -0.5 * np.sum(gradient[kept] * coefficients[part[kept]], axis=1)
+        distinct = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)
+        coefficients[chunk[distinct]] = -solve(information[distinct], gradient[distinct])
+        gain[chunk[distinct]] = -0.5 * np.sum(gradient[distinct] * coefficients[chunk[distinct]], axis=1)
     return coefficients, gain
 
 
-# Least share of the misfit explained in one linear step by a fitted departure; true ones but drags explain 0.72 to 1.
+# Smallest share of the misfit explained in one linear step by a departure that is fitted; true ones, except drags,
+# explain 0.72 to 1.
 LEAST_EXPLAINED = 0.5
-RIVAL_SHARE = 0.9  # least share of what the first explains: one step does not distinguish such departures
-MOST_LAWS = 2  # laws that a departure is fitted with: the best, and the best of another curve
-GIVEN_UP_ABOVE_NOISE = 2.0  # error over the noise of a settled or finished fit that is given up; true ones are at 1
+RIVAL_SHARE = 0.9  # smallest explained share over the first one's: one step does not distinguish such departures
+MOST_LAWS = 2  # laws that a departure is fitted with: the best, and the best with another curve
+GIVEN_UP_ABOVE_NOISE = 2.0  # error over the noise above which a settled or finished fit is rejected; true ones have 1
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
     fit: Fit
     base: Base
-    gain: float  # by how much the cost falls with it
+    gain: float  # decrease of the cost
 
     @property
     def force(self) -> Force:
@@ -251,21 +252,21 @@ class Refit:
         return self.fit.q[self.fit.q.size - self.force.width :]
 
     @cached_property
-    def spreads(self) -> Array:
-        """Covariances of the coefficients by the sandwich and by the curvature, (2, columns, columns)."""
+    def coefficient_covariances(self) -> Array:
+        """Covariances of the coefficients from the sandwich and from the curvature, (2, columns, columns)."""
         first = self.fit.q.size - self.force.width
-        own = slice(first, first + self.force.departure.columns)
-        return np.array(covariances(self.fit))[:, own, own]
+        coefficients = slice(first, first + self.force.departure.columns)
+        return np.array(covariances(self.fit))[:, coefficients, coefficients]
 
     @property
     def sigmas(self) -> float:
         size = self.force.coefficients(self.size)
-        log_p = max(log_probability(size, spread, len(self.fit.rows)) for spread in self.spreads)
+        log_p = max(log_probability(size, spread, len(self.fit.rows)) for spread in self.coefficient_covariances)
         return sigmas(log_p, len(DEPARTURES))
 
     @property
-    def usual_rms(self) -> float:
-        return usual_rms(self.fit.residual, self.fit.rows)
+    def median_rms(self) -> float:
+        return median_rms(self.fit.residual, self.fit.rows)
 
 
 def explain_misfit(
@@ -276,55 +277,55 @@ def explain_misfit(
     revolution: float | None,
     describes: Callable[[Refit], bool],
 ) -> tuple[FittedDeparture, ...]:
-    """Return departures with which a law describes the record, nearest first; ``noise`` and ``revolution`` are in m."""
+    """Return departures with which a law describes the record, best first; ``noise`` and ``revolution`` are in m."""
     refits: list[Refit] = []
-    least = 0.0
-    for candidate in _candidates(fits[0], curve, records, noise, revolution):
-        if refits and not candidate.explained > least:
+    least_explained = 0.0
+    for candidate in _list_candidates(fits[0], curve, records, noise, revolution):
+        if refits and not candidate.explained > least_explained:
             break
-        refit = fit_with(candidate, fits, noise)
+        refit = fit_departure(candidate, fits, noise)
         if refit is not None and describes(refit):
             refits.append(refit)
-            least = least or RIVAL_SHARE * candidate.explained
-    return tuple(_described(refit, noise, 1 - curve.confidence) for refit in sorted(refits, key=lambda r: r.usual_rms))
+            least_explained = least_explained or RIVAL_SHARE * candidate.explained
+    return tuple(_describe(refit, noise, 1 - curve.confidence) for refit in sorted(refits, key=lambda r: r.median_rms))
 
 
-def _candidates(
+def _list_candidates(
     best: Fit, curve: MeasuredCurve, records: Sequence[MeasuredMotion], noise: float, revolution: float | None
 ) -> Iterator[Candidate]:
-    """Yield candidates, likeliest first, then every drag: its test is poor on a law that ended far away without it."""
-    near = curve.chi < noise_levels.DESCRIBES  # there a share of the misfit says nothing
+    """Yield candidates, largest gain first, then every drag, whose score test fails where the law fits poorly."""
+    curve_describes = curve.chi < noise_levels.DESCRIBES  # then shares of the misfit are meaningless
     bases = [Base.at(best, records, revolution)]
-    if not near:
+    if not curve_describes:
         bases.append(Base.at(curve.spline_fit, records, revolution, curve.linear))
-    tried = []
+    tried_departures = []
     for candidate in rank_candidates([base for base in bases if base is not None], noise):
-        if near or candidate.explained > LEAST_EXPLAINED:
-            tried.append(candidate.departure)
+        if curve_describes or candidate.explained > LEAST_EXPLAINED:
+            tried_departures.append(candidate.departure)
             yield candidate
     for departure in DEPARTURES:
-        if departure.drag is not None and departure not in tried:
+        if departure.drag is not None and departure not in tried_departures:
             yield Candidate(departure, math.nan, np.zeros(departure.columns), 0.0)
 
 
-def fit_with(candidate: Candidate, fits: Sequence[Fit], noise: float) -> Refit | None:
-    """Fit a departure with the best laws; None where none reaches the noise."""
+def fit_departure(candidate: Candidate, fits: Sequence[Fit], noise: float) -> Refit | None:
+    """Fit a departure with the best laws; None if no fit reaches the noise."""
     refits = []
     curves: list[str] = []
     for fit in fits:
         if fit.law.formula not in curves and len(curves) < MOST_LAWS:
             curves.append(fit.law.formula)
-            refit = _fit_with(candidate, fit, noise, tested=fit is fits[0])
+            refit = _fit_law_with_departure(candidate, fit, noise, tested=fit is fits[0])
             refits += [] if refit is None else [refit]
-    best = min(refits, key=lambda refit: refit.usual_rms, default=None)
-    return best if best is not None and best.usual_rms < noise_levels.DESCRIBES * noise else None
+    best = min(refits, key=lambda refit: refit.median_rms, default=None)
+    return best if best is not None and best.median_rms < noise_levels.DESCRIBES * noise else None
 
 
-def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> Refit | None:
-    """Fit a law with a departure, from its end if ``tested``; None far from the noise, or not significant."""
+def _fit_law_with_departure(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> Refit | None:
+    """Fit a law with a departure, from the law's fit if ``tested``; None if far from the noise or not significant."""
     task = replace(fit.task, forces=(Force(candidate.departure, candidate.scale),))
     noises = np.full(fit.runs, noise)
-    first = first_pass(task, _start(task, fit if tested else None, candidate.size))
+    first = first_pass(task, _start_with_departure(task, fit if tested else None, candidate.size))
     settled = None if first is None else settle(first, noises)
     if settled is None or settled.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * noise:
         return None
@@ -334,30 +335,30 @@ def _fit_with(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> 
     base = Base.at(finished, fit.problem.motions)
     if base is None:
         return None
-    # A law that is far from the record may have been fitted to a thinned one alone.
-    alone, linear = fit.residual if fit.whole else fit.residual_in(finished.windows, fit.local), base.linear
+    # A law that fits poorly was fitted only to the thinned record.
+    alone, linear = fit.residual if fit.finished else fit.residual_in(finished.windows, fit.local), base.linear
     if alone is None:
         return None
     before = replace(linear, residual=alone).cost
-    refit = Refit(without_level_errors(finished), base, before - linear.cost)
+    refit = Refit(remove_level_errors(finished), base, before - linear.cost)
     dissipates = candidate.departure.drag is None or refit.size[0] > 0
     return refit if dissipates and refit.sigmas > noise_levels.SHOWN else None
 
 
-def _start(task: Task, end: Fit | None, size: Array) -> FitStart:
-    (force,), start = task.forces, regressed_start(task) if end is None else end.start
+def _start_with_departure(task: Task, end: Fit | None, size: Array) -> FitStart:
+    (force,), start = task.forces, start_from_regression(task) if end is None else end.start
     if force.departure.drag is None:
         rest = start.q if end is not None else start.q[: -force.width]
         return start._replace(q=np.concatenate([rest, size, np.zeros(force.width - size.size)]))
     fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
     table = force.departure.drag_table(fastest)
     u, drag = task.problem.start_with_drag(lambda v: np.interp(v, table.velocity, table.acceleration))
-    return regressed_start(task)._replace(q=np.concatenate([u[list(task.places)], [max(drag, 0.0)]]))
+    return start_from_regression(task)._replace(q=np.concatenate([u[list(task.places)], [max(drag, 0.0)]]))
 
 
-def _described(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
+def _describe(refit: Refit, noise: float, alpha: float) -> FittedDeparture:
     departure, record = refit.force.departure, refit.fit.problem.motions[0]
-    size = amplitude(refit.force.coefficients(refit.size), refit.spreads)
+    size = amplitude(refit.force.coefficients(refit.size), refit.coefficient_covariances)
     parameter, unit = departure.parameter, departure.unit
     if departure.with_mass is not None and record.mass is not None:
         parameter, unit = departure.with_mass

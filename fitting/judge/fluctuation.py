@@ -1,11 +1,11 @@
-"""Break-aways above the level of slip (ageing), and friction that fluctuates at random within a slip.
+"""Break-away levels above the level of slip (ageing), and random friction within slips.
 
-The break-aways lie in no window of the fit, so a law can be right and its contact age. Source: J. H. Dieterich, Pure
-Appl. Geophys. 116 (1978) 790 (static friction grows with the logarithm of the time at rest). Not modelled: levels that
-differ from law to law where none of them fits; then the ratio says nothing.
+No window of the fit contains the break-aways, so a law can fit although the contact ages. Source: J. H. Dieterich, Pure
+Appl. Geophys. 116 (1978) 790 (static friction grows with the logarithm of the time at rest). Not modelled: if no law
+fits, the level depends on the law, and the ratio is meaningless.
 
-Random friction acts on the fitted motion and all unknowns are fitted again, to first order in it. Its correlation time
-is the one for which the remainder, with the noise, has the correlation time of the residual.
+Random friction acts on the fitted motion, and all unknowns are fitted again, to first order in it. Its correlation time
+is chosen such that the remaining residual, with the noise, has the correlation time of the record's residual.
 """
 
 import math
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.judge.departures import Base, usual_rms
+from fitting.judge.departures import Base, median_rms
 from fitting.judge.parameters import BreakAway
 from fitting.model.forces import Forcing
 from fitting.model.problem import rest_calibration
@@ -24,9 +24,9 @@ from processing.record.motion import Finding
 from stickslip.compute.arrays import Array, autocorrelation_time
 from stickslip.units import Measured
 
-FEWEST_BREAK_AWAYS = 6  # break-aways of which a scatter is taken
-LEAST_EXCESS = 0.02  # of the break-away level over that of slip; under the six laws the ratio errs by up to 0.7 %
-ERRORS_SHOWN = 5.0  # standard errors by which an excess, or a growth, is shown
+FEWEST_BREAK_AWAYS = 6  # break-aways needed to estimate a scatter
+LEAST_EXCESS = 0.02  # of the break-away level over that of slip; under the six laws the ratio is up to 0.7 % off
+ERRORS_SHOWN = 5.0  # standard errors above which an excess, or a growth, is reported
 
 
 class BreakAways(NamedTuple):
@@ -34,53 +34,54 @@ class BreakAways(NamedTuple):
 
     events: Sequence[BreakAway]
     cut: CycleSegmentation
-    error: float  # standard deviation of their levels that all share, over the level
+    error: float  # common standard deviation of their levels, over the level
 
 
 def find_other_break_away(runs: Sequence[BreakAways], level: float, unit: str) -> list[Finding]:
-    """Return that the runs' break-aways disagree with friction at rest (``level``), or no finding."""
+    """Return a finding if the break-away levels of the runs disagree with friction at rest (``level``)."""
     each = [_levels(run) for run in runs]
     ratio = np.concatenate([ratios for ratios, _ in each])
     if ratio.size < FEWEST_BREAK_AWAYS:
         return []
     mean = float(ratio.mean())
     error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), max(run.error for run in runs))
-    known = math.hypot(error, LEAST_EXCESS / ERRORS_SHOWN)
-    if abs(mean - 1) < ERRORS_SHOWN * known:
+    sd = math.hypot(error, LEAST_EXCESS / ERRORS_SHOWN)
+    if abs(mean - 1) < ERRORS_SHOWN * sd:
         return []
     measured = mean * level
     text = (
         f"break-away: friction at the measured break-aways is {measured:.4g} +- {error * level:.2g} {unit}, that "
         f"of the law at rest {level:.4g} {unit}"
     )
-    growth = _growth([(*own, run.error) for own, run in zip(each, runs, strict=True)])
+    growth = _growth([(*levels, run.error) for levels, run in zip(each, runs, strict=True)])
     if growth is not None and len(runs) > 1:
         size = f"{100 * growth.value:.2g} +- {100 * growth.sd:.1g} %"
         text += f"; by the runs' means it grows by {size} of that for every e-fold of the time at rest"
     elif growth is not None and growth.value > ERRORS_SHOWN * growth.sd:
         text += f"; it grows by about {100 * growth.value:.2g} % of that for every e-fold of the time at rest"
-    return [Finding("break-away", text, measured, level, abs(mean - 1) / known)]
+    return [Finding("break-away", text, measured, level, abs(mean - 1) / sd)]
 
 
 def _levels(run: BreakAways) -> tuple[Array, Array]:
-    """Return the levels of a run's break-aways over that at rest, and the sticks before them, s (NaN where unknown)."""
+    """Return the break-away levels of a run over that at rest, and the stick times before them, s (NaN if unknown)."""
     landing = {cycle.number + 1: cycle.landing for cycle in run.cut.cycles}
-    good = [event for event in run.events if not event.flag and math.isfinite(event.break_away_level)]
-    ratio = np.array([event.break_away_level / event.kinetic_scale for event in good])
-    return ratio, np.array([event.t - landing.get(event.number, math.nan) for event in good])
+    usable = [event for event in run.events if not event.flag and math.isfinite(event.break_away_level)]
+    ratio = np.array([event.break_away_level / event.kinetic_scale for event in usable])
+    return ratio, np.array([event.t - landing.get(event.number, math.nan) for event in usable])
 
 
 def _growth(runs: Sequence[tuple[Array, Array, float]]) -> Measured | None:
-    """Return the slope of the ratio over the log stick time: of several runs by their means.
+    """Return the slope of the ratio against the log stick time; for several runs, the slope of their means.
 
-    Within a run it errs, by half or twofold: a level that is high by chance also makes the stick before it longer.
+    Within a run the slope can be half or twice the true one: a level that is high by chance also makes the stick
+    longer.
     """
     means = []
     for ratio, stick, error in runs:
-        good = np.isfinite(stick) & (stick > 0)
-        if good.sum() < FEWEST_BREAK_AWAYS:
+        usable = np.isfinite(stick) & (stick > 0)
+        if usable.sum() < FEWEST_BREAK_AWAYS:
             continue
-        x, y = np.log(stick[good]), ratio[good]
+        x, y = np.log(stick[usable]), ratio[usable]
         if len(runs) == 1:
             return _slope_within(x, y)
         means.append((x.mean(), y.mean(), y.var(ddof=1) / y.size + error**2))
@@ -100,13 +101,13 @@ def _slope_within(x: Array, y: Array) -> Measured | None:
         return None
     slope = float(np.sum(x * y)) / square
     # each point's own residual, raised by its leverage (HC3: J. MacKinnon, H. White, J. Econometrics 29 (1985) 305)
-    raised = x * (y - slope * x) / (1 - x**2 / square - 1 / x.size)
-    return Measured(slope, math.sqrt(float(np.sum(raised**2))) / square)
+    scores = x * (y - slope * x) / (1 - x**2 / square - 1 / x.size)
+    return Measured(slope, math.sqrt(float(np.sum(scores**2))) / square)
 
 
-DRAWS, SEED = 6, 5  # the same draws for every record; the size is then known to a factor of two or three
-HARMONICS = 64  # sines whose sum is one draw
-# Correlation times of the friction over that of the residual: a position follows a force late.
+DRAWS, SEED = 6, 5  # the same draws for every record; the size is then accurate to a factor of two or three
+HARMONICS = 64  # sines in one draw
+# Correlation times of the friction over that of the residual, which is longer, since inertia smooths a force.
 TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
 
 
@@ -115,53 +116,53 @@ def fluctuation_share(
 ) -> float | None:
     """Return the standard deviation of random friction over the friction at rest.
 
-    None where more of the residual (``repeated``) repeats from slip to slip than random friction leaves, or beside an
-    unstable motion.
+    None if a larger share of the residual (``repeated``) repeats from slip to slip than under random friction, or if
+    the motion is unstable.
     """
     linear, path = base.linear, base.path
-    excess = usual_rms(linear.residual, linear.rows) ** 2 - noise**2
+    excess = median_rms(linear.residual, linear.rows) ** 2 - noise**2
     if not excess > 0:
         return None
     rng = np.random.default_rng(SEED)
     white = noise * rng.standard_normal((linear.residual.size, DRAWS))
     friction = np.where(path.stuck, 0.0, path.friction)[:, None]
     steps = np.diff(path.windows.time)
-    seen = _correlation(linear.residual, base)
-    found: list[tuple[float, float]] = []
+    correlation = _correlation_time(linear.residual, base)
+    sizes: list[tuple[float, float]] = []
     repeat = -math.inf
     for share in TIMES_TRIED:
-        time = share * seen * float(np.median(steps[steps > 0])) / math.sqrt(2 * math.pi)
-        response = base.respond([Forcing(acceleration=friction * _random(path.time, time, rng))])
-        left = linear.refit_columns(response)
-        unit = float(np.median([usual_rms(one, linear.rows) for one in left.T]))
-        if math.isfinite(unit) and unit > 0:
-            size = math.sqrt(excess) / unit
-            drawn = size * left + white
-            times = [_correlation(one, base) for one in drawn.T]
-            found.append((abs(math.log(float(np.median(times)) / seen)), size))
-            repeat = max(repeat, float(np.max(count_repeated(drawn))))
-    if not found or repeated > repeat:
+        time = share * correlation * float(np.median(steps[steps > 0])) / math.sqrt(2 * math.pi)
+        response = base.respond([Forcing(acceleration=friction * _draw_correlated(path.time, time, rng))])
+        refitted = linear.refit_columns(response)
+        unit_rms = float(np.median([median_rms(draw, linear.rows) for draw in refitted.T]))
+        if math.isfinite(unit_rms) and unit_rms > 0:
+            size = math.sqrt(excess) / unit_rms
+            simulated = size * refitted + white
+            times = [_correlation_time(draw, base) for draw in simulated.T]
+            sizes.append((abs(math.log(float(np.median(times)) / correlation)), size))
+            repeat = max(repeat, float(np.max(count_repeated(simulated))))
+    if not sizes or repeated > repeat:
         return None
-    return min(found)[1] * base.fit.values.F / _friction_at_rest(base.fit)
+    return min(sizes)[1] * base.fit.values.F / _friction_at_rest(base.fit)
 
 
 def _friction_at_rest(fit: Fit) -> float:
-    """Return friction at the break-aways, m/s^2, by the stretch of the spring: a wrong law may end at any level."""
-    own = [rows for rows, run in zip(fit.rows, fit.windows.run, strict=True) if run == 0]
-    highest = float(np.mean([np.max(fit.windows.position[rows]) for rows in own]))
+    """Return friction at the break-aways, m/s^2, from the spring's stretch: the level of a wrong law is arbitrary."""
+    rows_of_first_run = [rows for rows, run in zip(fit.rows, fit.windows.run, strict=True) if run == 0]
+    highest = float(np.mean([np.max(fit.windows.position[rows]) for rows in rows_of_first_run]))
     return fit.values.K * (highest - rest_calibration(fit.problem.runs[0]).value)
 
 
-def _correlation(residual: Array, base: Base) -> float:
+def _correlation_time(residual: Array, base: Base) -> float:
     """Return the correlation time in samples."""
     return autocorrelation_time([residual[rows] for rows in base.linear.rows])
 
 
-def _random(time: Array, correlation: float, rng: np.random.Generator) -> Array:
+def _draw_correlated(time: Array, correlation: float, rng: np.random.Generator) -> Array:
     """Return random numbers (M, DRAWS) of unit variance at times, s, with a Gaussian correlation."""
     rate = rng.standard_normal((HARMONICS, DRAWS)) / correlation
     phase = rng.uniform(0.0, 2 * math.pi, (HARMONICS, DRAWS))
     total = np.zeros((time.size, DRAWS))
-    for one, shift in zip(rate, phase, strict=True):
-        total += np.cos(time[:, None] * one + shift)
+    for frequency, shift in zip(rate, phase, strict=True):
+        total += np.cos(time[:, None] * frequency + shift)
     return math.sqrt(2 / HARMONICS) * total

@@ -18,13 +18,20 @@ from operator import attrgetter
 import numpy as np
 
 from fitting import noise_levels
-from fitting.judge.calibrations import formula_given
-from fitting.judge.curve import MeasuredCurve, curve_target, seen_speeds
+from fitting.judge.calibrations import apply_to_formula
+from fitting.judge.curve import MeasuredCurve, band_speeds, curve_target
 from fitting.laws import MEMORY, MEMORY_LIMITS, PUBLISHED, Competitors, Law, natural_size
 from fitting.model.predict import KNOT_POWER, OF_THE_LAW, FitStart, Task
 from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global
-from fitting.search.exchange import FAR_BEYOND_BEST, WORSE, best_end, fits_worse, select_better, start_beside
+from fitting.search.exchange import (
+    FAR_BEYOND_BEST,
+    WORSE,
+    fits_worse,
+    select_better,
+    settle_from_starts,
+    warm_start,
+)
 from fitting.search.fit import Fit, PassNoise, Unfitted
 from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.memory import fit_memory
@@ -42,16 +49,16 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     host, noise = seen.spline_fit, seen.noise
     fastest = SPLINE_REACH * (float(host.spline.knots[-1]) + (0.0 if law.ramp else seen.ramp))
     target, level_sd = curve_target(seen)
-    curve = FormulaCurve(law, fastest, target.off_by_a_constant(level_sd))
+    curve = FormulaCurve(law, fastest, target.with_unknown_constant(level_sd))
     problem = _problem(curve, host)
     task = Task(problem, curve, tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW))
-    beside = start_beside(task, host)
+    beside = warm_start(task, host)
     starts = []
     for start in curve.starts:
         if start.misfit <= START_MISFIT * curve.starts[0].misfit:
             theta = curve.theta_at(start.values)
             friction = curve.at_speeds(theta, target.speeds)
-            rise = target.constant_beside(friction, level_sd) / host.u[Global.K]
+            rise = target.nearest_constant(friction, level_sd) / host.u[Global.K]
             shared = beside.q[: len(task.places)] + [rise * _is_free_rest(problem, place) for place in task.places]
             starts.append(beside._replace(q=np.concatenate([shared, theta])))
     position = float(np.max(noise))
@@ -65,14 +72,14 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     tried = [(start, host.noise.without_fade) for start in starts]
     if law.name not in PUBLISHED:  # it may be the nearest law, written in another way
         tried = [*_starts_beside(task, nearest), *tried]
-    found = best_end(task, tried, noise, least)
+    found = settle_from_starts(task, tried, noise, least)
     error = math.inf if found is None else found.geometric_mean_rms
     limited = inner is not None and error > WORSE * inner.geometric_mean_rms
     behind = not hopeless and WORSE * least < error < FAR_BEYOND_BEST * least
     if (found is None or limited or behind) and error > noise_levels.DESCRIBES * position:
         neighbours = dict.fromkeys([inner, nearest] if inner is not None and limited else [nearest])
         again = [start for neighbour in neighbours for start in _starts_beside(task, neighbour)]
-        found = select_better(found, best_end(task, again, noise, least))
+        found = select_better(found, settle_from_starts(task, again, noise, least))
     limit = min(noise_levels.LOST * position, noise_levels.NEAR * max(least, position))
     if found is not None and found.geometric_mean_rms < limit:
         found = finish(found, noise) or found
@@ -94,7 +101,7 @@ def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise
     curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
     if not isinstance(curve, FormulaCurve):
         raise TypeError("not the task of a formula")
-    beside = start_beside(task, neighbour)
+    beside = warm_start(task, neighbour)
     speeds = curve.fastest / SPLINE_REACH * knots**KNOT_POWER
     u = task.split(beside.q)[0]
     raised = float(u[Global.K] * (neighbour.u[Global.DATUM] - u[Global.DATUM]))
@@ -114,7 +121,7 @@ def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise
 
 def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
     run, slot = divmod(place, PER_RUN)
-    given = problem.motions[run].datum_prior is not None or problem.held[place]
+    given = problem.motions[run].datum_prior is not None or problem.fixed[place]
     return slot == Global.DATUM and not given
 
 
@@ -135,7 +142,7 @@ def _problem(curve: FormulaCurve, host: Fit) -> EstimationProblem:
         return own
     changed = {name: getattr(own, name).copy() for name in ("start", "prior", "precision", "lower", "upper")}
     for place in range(Global.DATUM, own.start.size, PER_RUN):
-        if not own.held[place]:
+        if not own.fixed[place]:
             for name, values in changed.items():
                 values[place] = getattr(host.problem, name)[place]
     return replace(own, **changed)
@@ -196,7 +203,7 @@ def _candidates(competitors: Competitors, curve: MeasuredCurve | None, six: Sequ
     """Yield the requested formulas, the published ones with the measured curve's contact, and laws with memory."""
     motion = six[0].problem.motions[0]
     requested = [law for law in (*competitors.formulas, *competitors.six) if not competitors.by_kernel(law)]
-    given = [formula_given(law, competitors.of_law(law), motion) for law in requested]
+    given = [apply_to_formula(law, competitors.of_law(law), motion) for law in requested]
     ramp = curve is not None and curve.spline_fit.problem.ramp
     yield from (law for law in given if not law.rate)
     yield from (replace(law, ramp=ramp) for law in PUBLISHED.values() if not competitors.asks(law))
@@ -220,7 +227,7 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
         return error.what.removeprefix(f"law {law.name} is ")
     if fit is None:
         return "its motion cannot be followed"
-    spline, found = curve.spline_fit.spline, fit.own_values
+    spline, found = curve.spline_fit.spline, fit.law_values
     friction, fastest = float(np.median(spline.coefficients)), float(spline.knots[-1])
     free = fit.task.curve.free
     if any(abs(found[name]) > RUN_AWAY * natural_size(law, name, friction, fastest) for name in free):
@@ -250,7 +257,7 @@ def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
 def _draws(law: Law, rival: Fit, host: Fit) -> bool:
     if law.ramp != rival.problem.ramp:
         return False
-    speeds = seen_speeds(host)
+    speeds = band_speeds(host)
     friction = rival.task.friction(rival.q, speeds)
     nearest = find_starts(law, Target.of(speeds, friction, float(np.max(friction))))[0]
     return nearest.misfit < SAME_CURVE**2 * speeds.size

@@ -1,7 +1,7 @@
 """Friction against relative velocity: each law's fitted curve, and measured points.
 
-A measured point is the force balance F = m a + c v + k (x - b) at a smoothed sample, over its cycle's level so that the
-cycles lie on one curve.  In newtons where mass or stiffness is known, else per kilogram.
+A measured point is the force balance F = m a + c v + k (x - b) at a smoothed sample, divided by its cycle's level so
+that all cycles are on one curve.  Units are newtons where mass or stiffness is known, else newtons per kilogram.
 """
 
 import math
@@ -52,15 +52,15 @@ def friction_at(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
 def points(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of slip and stick samples.
 
-    Samples within half a smoothing window of a landing are left out: smoothing rounds the corner there.
+    Samples within half a smoothing window of a landing are omitted, since smoothing rounds the corner there.
     """
     p = fit.values
     w_parts, f_parts, stick_parts = [], [], []
     for k, cycle in enumerate(fit.cycles):
         level = math.exp(float(fit.local[k, PerCycle.LEVEL]))
-        near = int(np.searchsorted(motion.time, cycle.landing - motion.half_window))
-        for first, end, stick in ((*cycle.stick, True), (cycle.slip[0], near, False)):
-            x, v, a = (part[first:end] for part in (motion.position, motion.velocity, motion.acceleration))
+        end_of_slip = int(np.searchsorted(motion.time, cycle.landing - motion.half_window))
+        for first, end, stick in ((*cycle.stick, True), (cycle.slip[0], end_of_slip, False)):
+            x, v, a = (values[first:end] for values in (motion.position, motion.velocity, motion.acceleration))
             friction = (a + p.damping * v + p.K * (x - p.datum)) / level
             w_parts.append(v - p.v_dr + p.compliance / p.K * friction)  # the belt slows under the friction it carries
             f_parts.append(mass(motion, fit) * friction)

@@ -1,24 +1,24 @@
-"""Goodness of fit in absolute terms: whether noise alone could have produced the residual of a law.
+"""Absolute goodness of fit: whether noise alone explains the residual of a law.
 
 Noise.  A counter rounds, a camera adds white noise, and jitter of the sample times moves a position by velocity times
 the error of the time.  All three are estimated from fourth differences of the residual, in which a smooth misfit
 cancels.  Not modelled: noise that is correlated over several samples, as after a low-pass filter.
 
-Statistics.  Each slip, from its window's start to the landing, is cut into bins of its phase, and the residual is
-averaged in them: a wrong law leaves a residual that is smooth over a bin and repeats from slip to slip.  One more
-is of whole cycles, sticks included: the rms of all.
+Statistics.  Each slip, from its window's start to the landing, is divided into bins of its phase, and the residual is
+averaged in them: the residual of a wrong law is smooth over a bin and repeats from slip to slip.  The third statistic
+is the rms of whole cycles, sticks included.
 
-Null distribution.  The fitted motion is measured repeatedly with the record's noise, all unknowns are fitted again,
-linearly, and the statistics are taken of the residual.  Rounding makes patterns that repeat from cycle to cycle; the
-repetitions have them too.  A statistic that is the same in all repetitions is not judged.
+Null distribution.  Measurements of the fitted motion are simulated with the record's noise, all unknowns are fitted
+again, linearly, and the statistics of the residuals are computed.  Rounding causes patterns that repeat from cycle to
+cycle; the simulations have them too.  A statistic that is the same in all simulations is not tested.
 
-Cycles left out.  A cycle with a far larger residual than its run's median is not evidence against a law where one
-velocity step, as from the belt's joint, explains the excess.  In a stick, and after the landing, friction stops the
-mass again within milliseconds, and a step of the position remains.
+Excluded cycles.  A cycle with a residual far above the median of its run is not evidence against a law if one velocity
+step, as from the belt's joint, explains the excess.  In a stick, and after the landing, friction stops the mass again
+within milliseconds, and a step of the position remains.
 
-Smallest visible departure.  A wave in the friction, with one or two periods over all slip speeds and constant
-amplitude, or two or four over the travel and in proportion to the friction, less what the law's own parameters absorb.
-It is visible where half of all repetitions with it are rejected; the median over the waves is a typical size.
+Smallest visible departure.  A wave is added to the friction: with one or two periods over the slip speeds and constant
+amplitude, or with two or four periods over the travel and in proportion to the friction.  The law's parameters absorb
+part of it.  It is visible if half of all simulations with it are rejected.  The median over the waves is reported.
 """
 
 import math
@@ -43,12 +43,12 @@ from stickslip.compute.arrays import Array, Integers, Mask
 
 # Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
 DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0
-ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch
-STEADY_SPEED = 0.1  # from the belt's speed, over it: nearer, in stick, rounding errors are not white
+ROUNDED_TWICE = 0.1  # pitches: distance of counts printed with few decimals from whole multiples of the pitch
+STEADY_SPEED = 0.1  # distance from the belt's speed, over it: nearer, in stick, rounding errors are not white
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
-LEAST_WHITE_NOISE = 0.5  # least variance of white noise over rounding's; encoders without noise give up to 0.3
+LEAST_WHITE_NOISE = 0.5  # smallest variance of white noise over rounding's; encoders without noise give up to 0.3
 FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
-ROUNDING = 1e-9  # distance over the range of the readings: nearer ones are the same
+ROUNDING = 1e-9  # distance over the range of the readings, below which two readings are the same
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class PositionNoise:
         return self.white == self.jitter == 0
 
     def draw(self, position: Array, velocity: Array, rng: np.random.Generator, shift: float) -> Array:
-        """Draw position minus reading (n,), m, on a grid moved by ``shift`` pitches."""
+        """Draw position minus reading (n,), m, with the counter's grid moved by ``shift`` pitches."""
         spread = np.sqrt(self.white**2 + (self.jitter * velocity) ** 2)
         error = 0.0 if self.rounded_alone else spread * rng.standard_normal(position.size)
         if self.pitch == 0:
@@ -86,15 +86,15 @@ def estimate_noise(
     interval = float(np.median(np.diff(motion.time)))
     slowest = FASTEST_PATTERN * pitch / interval if motion.resolution < pitch else 0.0
     squares, speeds = [], []
-    for k, _, first, count, _, own in windows.table:
-        if own == run and inliers[k] and count > DIFFERENCE_ORDER:
-            part = slice(first, first + count)
-            speed = motion.velocity[windows.source[part]][DIFFERENCE_ORDER // 2 : -DIFFERENCE_ORDER // 2]
-            fast = np.abs(speed) >= slowest
+    for k, _, first, count, _, row_run in windows.table:
+        if row_run == run and inliers[k] and count > DIFFERENCE_ORDER:
+            rows = slice(first, first + count)
+            speed = motion.velocity[windows.source[rows]][DIFFERENCE_ORDER // 2 : -DIFFERENCE_ORDER // 2]
+            is_fast = np.abs(speed) >= slowest
             if slowest > 0:
-                fast &= np.abs(speed - motion.belt_speed) > STEADY_SPEED * abs(motion.belt_speed)
-            squares.append((np.diff(residual[part], DIFFERENCE_ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
-            speeds.append(speed[fast] ** 2)
+                is_fast &= np.abs(speed - motion.belt_speed) > STEADY_SPEED * abs(motion.belt_speed)
+            squares.append((np.diff(residual[rows], DIFFERENCE_ORDER) ** 2 / SQUARED_WEIGHTS)[is_fast])
+            speeds.append(speed[is_fast] ** 2)
     square, v2 = (np.concatenate(parts) if parts else np.empty(0) for parts in (squares, speeds))
     if square.size < FEWEST_DIFFERENCES:
         return PositionNoise(pitch, math.sqrt(max(motion.resolution**2 - rounding, 0.0)), 0.0)
@@ -111,30 +111,30 @@ def estimate_noise(
 
 
 def reading_pitch(reading: Array) -> float:
-    """Return the pitch to which readings are rounded, m, even one finer than the printed step; 0 without one."""
+    """Return the pitch to which readings are rounded, m, even if finer than the printed step; 0 without rounding."""
     values = np.unique(reading)
     gaps = np.diff(values)
-    apart = gaps[gaps > ROUNDING * (values[-1] - values[0])]
-    if apart.size < FEWEST_DIFFERENCES:
+    steps = gaps[gaps > ROUNDING * (values[-1] - values[0])]
+    if steps.size < FEWEST_DIFFERENCES:
         return 0.0
-    place = values - values.mean()
-    for least in (float(apart.min()), float(np.quantile(apart, 0.2))):  # a few stray readings spoil the smallest gap
-        pitch = float(np.median(apart[apart <= 1.5 * least]))
+    centred = values - values.mean()
+    for smallest in (float(steps.min()), float(np.quantile(steps, 0.2))):  # stray readings can spoil the smallest step
+        pitch = float(np.median(steps[steps <= 1.5 * smallest]))
         number = np.concatenate([[0.0], np.cumsum(np.rint(gaps / pitch))])
         number -= number.mean()
-        pitch = float(np.sum(number * place) / np.sum(number**2))
-        if float(np.median(np.abs(place - pitch * number))) < ROUNDED_TWICE * pitch:
+        pitch = float(np.sum(number * centred) / np.sum(number**2))
+        if float(np.median(np.abs(centred - pitch * number))) < ROUNDED_TWICE * pitch:
             return pitch
     return 0.0
 
 
 MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
-SAMPLES_IN_BIN = 3  # least samples of the usual slip in a bin, chosen: enough to average, few enough for short slips
-FEWEST_SLIPS = 2  # at least: what repeats needs two
+SAMPLES_IN_BIN = 3  # samples of the median slip in a bin, chosen: enough to average, few enough for short slips
+FEWEST_SLIPS = 2  # slips needed to see a repetition
 
 
 class Statistics(NamedTuple):
-    """Statistics of B sets of residuals of a run's judged cycles, each (B,); 0 without slips but for `rms`."""
+    """Statistics of B sets of residuals of a run's judged cycles, each (B,); without slips all but `rms` are 0."""
 
     repeat: Array  # share of the binned variance that repeats from slip to slip, without bias: 0 for noise
     smooth: Array  # variance of the binned residuals over that of white noise of the same rms; median
@@ -143,8 +143,8 @@ class Statistics(NamedTuple):
 
 def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
     """Return the mean squares of residuals (N, B), m^2, shape (cycles, B)."""
-    first = np.array([own.start - rows[0].start for own in rows])
-    count = np.array([own.stop - own.start for own in rows])
+    first = np.array([rows_of_cycle.start - rows[0].start for rows_of_cycle in rows])
+    count = np.array([rows_of_cycle.stop - rows_of_cycle.start for rows_of_cycle in rows])
     return np.asarray(np.add.reduceat(residuals**2, first, axis=0) / count[:, np.newaxis])
 
 
@@ -167,8 +167,8 @@ class SlipBins:
     @classmethod
     def cut(cls, windows: ShootingWindows, landings: Array, inliers: Mask, run: int = 0) -> "SlipBins":
         rows, phases = [], []
-        for k, stick, first, count, _, own in windows.table:
-            if stick or own != run or not inliers[k]:
+        for k, stick, first, count, _, row_run in windows.table:
+            if stick or row_run != run or not inliers[k]:
                 continue
             time = windows.time[first : first + count]
             phase = (time - time[0]) / (landings[k] - time[0])
@@ -179,8 +179,8 @@ class SlipBins:
         if not slips:
             empty = np.empty(0, np.int64)
             return cls(empty, empty, empty, empty, np.empty(0), 0, 1)
-        usual = float(np.median([phase.size for phase in phases]))
-        bins = int(min(max(usual // SAMPLES_IN_BIN, 1), MOST_BINS))
+        usual_size = float(np.median([phase.size for phase in phases]))
+        bins = int(min(max(usual_size // SAMPLES_IN_BIN, 1), MOST_BINS))
         cell = [slip * bins + np.floor(bins * phase).astype(np.int64) for slip, phase in enumerate(phases)]
         occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
         return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
@@ -230,8 +230,8 @@ class SlipBins:
         number, occupied = self.residuals_and_bins
         square = np.maximum(self.per_slip(squared) / number, 1e-300)
         binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
-        usual = np.median(square, axis=0)
-        weight = np.sqrt(np.minimum(usual / square, 1.0))  # a spoilt slip is scaled down to the usual one
+        usual_square = np.median(square, axis=0)
+        weight = np.sqrt(np.minimum(usual_square / square, 1.0))  # an outlier slip is scaled down to the median one
         mean = sums / self.count[:, None] * weight[self.slip]
         each, together = np.sum(mean**2, axis=0), self.per_phase(mean)
         return Statistics(
@@ -241,11 +241,11 @@ class SlipBins:
         )
 
 
-REPETITIONS = 60  # the spread of a statistic is then known to 9 %
+REPETITIONS = 60  # the spread of a statistic is then accurate to 9 %
 SEED = 13  # seed of the repetitions: the same for every record
 REJECTED = 1e-6  # p-value below which noise is rejected: five standard deviations, since the gamma tails are rough
-TESTS = 3  # what repeats, what is smooth, and the size of all
-NOISE_KNOWN = 1.2  # rms of all judged cycles over that of the repetitions, at most; true laws leave 0.97 to 1.04
+TESTS = 3  # the repeated share, smoothness, and rms
+NOISE_KNOWN = 1.2  # allowed rms of all judged cycles over that of the repetitions; true laws have 0.97 to 1.04
 
 
 @dataclass(frozen=True)
@@ -254,8 +254,8 @@ class GoodnessOfFit:
     misfit: float  # rms of the residuals of the judged cycles over ``noise_m``
     lag1: float  # autocorrelation of neighbouring residuals; 0 where no slip can be judged
     repeat: float  # as in `Statistics`
-    p_value: float | None  # of statistics at least as large by noise alone; None where nothing could be judged
-    left_out: tuple[int, ...] = ()  # numbers of the cycles that are not judged; of several runs together none
+    p_value: float | None  # under noise alone; None where nothing could be tested
+    left_out: tuple[int, ...] = ()  # numbers of the excluded cycles; empty for several runs together
 
     @property
     def judged(self) -> bool:
@@ -276,10 +276,10 @@ class RunSlips:
     noise_m: float  # standard deviation of one position, m
     bins: SlipBins
     lag1: float  # autocorrelation of neighbouring residuals of the record
-    seen: Statistics  # of the record
+    of_record: Statistics
     null: Statistics  # of the repetitions
-    counted: Mask  # (cycles,) which cycles of all runs these are
-    left_out: tuple[int, ...]  # numbers of the run's cycles that are not judged
+    judged_cycles: Mask  # (cycles,) which cycles of all runs these are
+    left_out: tuple[int, ...]  # numbers of the run's excluded cycles
 
 
 class Repetitions:
@@ -303,15 +303,15 @@ def draw_noise(
     blocks: Sequence[Block],
 ) -> Iterator[Array]:
     """Yield repetitions (n, B) of the noise in each block, m, from those ``repeated`` of each run."""
-    rngs = [[one.restart() for one in runs] for runs in repeated]
+    rngs = [[repetition.restart() for repetition in runs] for runs in repeated]
     for block in blocks:
         run, x, v = owner[block.rows], position[block.rows], velocity[block.rows]
-        drawn = np.empty((run.size, len(repeated)))
+        noise = np.empty((run.size, len(repeated)))
         for j, runs in enumerate(repeated):
-            for k, (one, rng) in enumerate(zip(runs, rngs[j], strict=True)):
-                own = run == k
-                drawn[own, j] = one.noise.draw(x[own], v[own], rng, one.shift)
-        yield drawn
+            for k, (repetition, rng) in enumerate(zip(runs, rngs[j], strict=True)):
+                of_run = run == k
+                noise[of_run, j] = repetition.noise.draw(x[of_run], v[of_run], rng, repetition.shift)
+        yield noise
 
 
 def judge(
@@ -331,21 +331,23 @@ def judge(
     velocity = np.empty_like(position)
     noises = []
     for run, motion in enumerate(motions):
-        own = owner == run
-        velocity[own] = motion.velocity[windows.source[own]]
+        samples_of_run = owner == run
+        velocity[samples_of_run] = motion.velocity[windows.source[samples_of_run]]
         noises.append(estimate_noise(windows, residual, fit.inlier_cycles, motion, run))
     landings = np.array([cycle.landing for cycle in fit.cycles])
     judged = [~left_out & (windows.run == run) for run in range(len(motions))]
-    bins = [SlipBins.cut(windows, landings, own, run) for run, own in enumerate(judged)]
+    bins = [SlipBins.cut(windows, landings, cycles, run) for run, cycles in enumerate(judged)]
     rng, samples = np.random.default_rng(SEED), np.bincount(owner, minlength=len(motions)).tolist()
     repeated = [
         [Repetitions(noise, rng, n) for noise, n in zip(noises, samples, strict=True)] for _ in range(REPETITIONS)
     ]
     parts = []
-    for block, left in refit(partial(draw_noise, repeated, position, velocity, owner)):
-        squares = cycle_squares(left, windows.rows[block.cycles])
-        parts.append((squares, *(part for cut in bins for part in (cut.sums(left, block), cut.sums(left**2, block)))))
-    null_squares, *null_sums = (np.concatenate(part) for part in zip(*parts, strict=True))
+    for block, refitted in refit(partial(draw_noise, repeated, position, velocity, owner)):
+        squares = cycle_squares(refitted, windows.rows[block.cycles])
+        parts.append(
+            (squares, *(sums for cut in bins for sums in (cut.sums(refitted, block), cut.sums(refitted**2, block))))
+        )
+    null_squares, *null_sums = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     squares = cycle_squares(residual[:, None], windows.rows)
     return tuple(
         RunSlips(
@@ -353,9 +355,9 @@ def judge(
             noise_m=noise.sd(velocity[owner == run]),
             bins=cut,
             lag1=cut.lag1(residual),
-            seen=cut.statistics(residual[:, None], squares[judged[run]]),
+            of_record=cut.statistics(residual[:, None], squares[judged[run]]),
             null=cut.combine(null_sums[2 * run], null_sums[2 * run + 1], null_squares[judged[run]]),
-            counted=judged[run],
+            judged_cycles=judged[run],
             left_out=tuple(fit.cycles[k].number for k in np.flatnonzero(left_out & (windows.run == run))),
         )
         for run, (noise, cut) in enumerate(zip(noises, bins, strict=True))
@@ -365,70 +367,70 @@ def judge(
 def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
     each = [
         GoodnessOfFit(
-            noise_m=own.noise_m,
-            misfit=float(own.seen.rms[0]) / own.noise_m if own.noise_m > 0 else math.inf,
-            lag1=own.lag1,
-            repeat=float(own.seen.repeat[0]),
-            p_value=probability(own),
-            left_out=own.left_out,
+            noise_m=run.noise_m,
+            misfit=float(run.of_record.rms[0]) / run.noise_m if run.noise_m > 0 else math.inf,
+            lag1=run.lag1,
+            repeat=float(run.of_record.repeat[0]),
+            p_value=compute_p_value(run),
+            left_out=run.left_out,
         )
-        for own in slips
+        for run in slips
     ]
     if len(each) == 1:
         return each[0], tuple(each)
-    share = np.array([own.bins.slips for own in slips], float)
+    share = np.array([run.bins.slips for run in slips], float)
     share /= max(share.sum(), 1.0)
     together = GoodnessOfFit(
-        noise_m=math.sqrt(float(np.sum(share * [one.noise_m**2 for one in each]))),
-        misfit=math.sqrt(float(np.sum(share * [one.misfit**2 for one in each]))),
-        lag1=float(np.sum(share * [one.lag1 for one in each])),
-        repeat=float(np.sum(share * [one.repeat for one in each])),
-        p_value=_corrected([one.p_value for one in each], len(each)),
+        noise_m=math.sqrt(float(np.sum(share * [run.noise_m**2 for run in each]))),
+        misfit=math.sqrt(float(np.sum(share * [run.misfit**2 for run in each]))),
+        lag1=float(np.sum(share * [run.lag1 for run in each])),
+        repeat=float(np.sum(share * [run.repeat for run in each])),
+        p_value=_correct_p_value([run.p_value for run in each], len(each)),
     )
     return together, tuple(each)
 
 
-def probability(slips: RunSlips) -> float | None:
+def compute_p_value(slips: RunSlips) -> float | None:
     if not slips.bins.judged:
         return None
-    begin, null = least(slips.bins), slips.null
-    repeat, smooth, rms = (float(seen[0]) for seen in slips.seen)
-    found = (
-        tail(repeat - begin, null.repeat - begin),
-        tail(smooth, null.smooth),
-        tail(rms / NOISE_KNOWN, null.rms),
+    begin, null = least_repeat(slips.bins), slips.null
+    repeat, smooth, rms = (float(statistic[0]) for statistic in slips.of_record)
+    tails = (
+        tail_probability(repeat - begin, null.repeat - begin),
+        tail_probability(smooth, null.smooth),
+        tail_probability(rms / NOISE_KNOWN, null.rms),
     )
-    return _corrected(found, TESTS)
+    return _correct_p_value(tails, TESTS)
 
 
-def _corrected(found: Sequence[float | None], tests: int) -> float | None:
-    judged = [p for p in found if p is not None]
+def _correct_p_value(p_values: Sequence[float | None], tests: int) -> float | None:
+    judged = [p for p in p_values if p is not None]
     return min(1.0, tests * min(judged)) if judged else None
 
 
-def least(bins: SlipBins) -> float:
-    """Return the least possible `repeat`, where its gamma distribution begins."""
+def least_repeat(bins: SlipBins) -> float:
+    """Return the smallest possible `repeat`, where its gamma distribution begins."""
     return -1 / max(bins.slips - 1, 1)
 
 
-def tail(value: float, null: Array) -> float | None:
-    """Return the p-value under a gamma distribution with the moments of ``null``; None where the repetitions agree."""
+def tail_probability(value: float, null: Array) -> float | None:
+    """Return the p-value under a gamma distribution with the moments of ``null``; None if all repetitions are equal."""
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
-    # The mean of equal numbers differs from them by rounding, and so would their spread from 0.
+    # The mean of equal numbers differs from them by rounding, so their spread is not exactly 0.
     return gamma_tail(value, mean, spread) if mean > 0 and spread > ROUNDING * mean else None
 
 
-TIMES_TRIED = 120  # times of a step that are tried in a cycle
+TIMES_TRIED = 120  # candidate times of a step in a cycle
 LEAST_EXPLAINED = 0.9  # share of a cycle's excess mean square that a step must explain
-# Other cycles of a run, and their share, that may fit badly by chance: a touch of a hand, an unseen overtaking.
+# Other outlier cycles of a run, and their share, that are excluded: a touch of a hand, an undetected overtaking.
 MOST_ODD, MOST_ODD_SHARE = 1, 0.1
 
 
-def left_out(linear: LinearisedFit, windows: ShootingWindows, landings: Array, spoilt: Mask) -> Mask:
-    """Return which spoilt cycles (cycles,) to leave out: those struck, and others where they are few."""
+def select_left_out(linear: LinearisedFit, windows: ShootingWindows, landings: Array, spoilt: Mask) -> Mask:
+    """Return which of the ``spoilt`` cycles (cycles,) to exclude: those with a step, and others if they are few."""
     if not spoilt.any():
         return spoilt
-    struck = _struck(linear, windows, landings, spoilt)
+    struck = _find_struck(linear, windows, landings, spoilt)
     odd = spoilt & ~struck
     for run in np.unique(windows.run[odd]):
         cycles = windows.run == run
@@ -437,56 +439,58 @@ def left_out(linear: LinearisedFit, windows: ShootingWindows, landings: Array, s
     return np.asarray(struck | odd)
 
 
-def _struck(linear: LinearisedFit, windows: ShootingWindows, landings: Array, spoilt: Mask) -> Mask:
-    """Return the spoilt cycles whose excess residual one step explains nearly in full."""
+def _find_struck(linear: LinearisedFit, windows: ShootingWindows, landings: Array, spoilt: Mask) -> Mask:
+    """Return the ``spoilt`` cycles whose excess residual one step explains nearly completely."""
     square = cycle_squares(linear.residual[:, np.newaxis], linear.rows)[:, 0]
     struck = np.zeros_like(spoilt)
     stick = np.repeat(windows.table[:, 1] == 1, windows.table[:, 3])
-    for block, part in linear.derivatives:
+    for block, jacobian in linear.derivatives:
         for k in block.cycles.start + np.flatnonzero(spoilt[block.cycles]):
             rows = linear.rows[k]
-            own = part[rows.start - block.rows.start : rows.stop - block.rows.start, linear.priors.gradient.size :]
+            local = jacobian[
+                rows.start - block.rows.start : rows.stop - block.rows.start, linear.priors.gradient.size :
+            ]
             phase = np.where(stick[rows], 0, 1 + (windows.time[rows] >= landings[k]))
-            steps = _steps(own[:, PerCycle.X_SLIP], own[:, PerCycle.V_SLIP], phase)
+            steps = _steps(local[:, PerCycle.X_SLIP], local[:, PerCycle.V_SLIP], phase)
             excess = square[k] - float(np.median(square[windows.run == windows.run[k]]))
-            usual, left = square[k] - excess, square[k] - _best_gain(linear, k, own, steps) / phase.size
-            struck[k] = left < SPOILT * usual or left - usual < (1 - LEAST_EXPLAINED) * excess
+            usual_square, remaining = square[k] - excess, square[k] - _best_gain(linear, k, local, steps) / phase.size
+            struck[k] = remaining < SPOILT * usual_square or remaining - usual_square < (1 - LEAST_EXPLAINED) * excess
     return struck
 
 
 def _steps(x: Array, v: Array, phase: Integers) -> Array:
-    """Return the response (n, TIMES_TRIED) to steps of the velocity in slip, of the position in the other phases.
+    """Return the response (n, TIMES_TRIED) to steps of the velocity in slip, and of the position in the other phases.
 
-    ``x`` and ``v`` (n,) are the responses to where and how fast the slip started: a step of the velocity is followed by
-    the combination of both that is 0 at the step.
+    ``x`` and ``v`` (n,) are the responses to the position and velocity at the start of the slip. The response to a step
+    of the velocity is the combination of both that is 0 at the step.
     """
-    at = np.linspace(1, phase.size - 1, TIMES_TRIED).round().astype(np.int64)
-    later = np.arange(phase.size)[:, np.newaxis] >= at
-    velocity = np.outer(v, x[at]) - np.outer(x, v[at])
-    return np.asarray(later * np.where(phase[at] == 1, velocity, phase[:, np.newaxis] == phase[at]))
+    begin = np.linspace(1, phase.size - 1, TIMES_TRIED).round().astype(np.int64)
+    after = np.arange(phase.size)[:, np.newaxis] >= begin
+    velocity = np.outer(v, x[begin]) - np.outer(x, v[begin])
+    return np.asarray(after * np.where(phase[begin] == 1, velocity, phase[:, np.newaxis] == phase[begin]))
 
 
 def _best_gain(linear: LinearisedFit, k: int, local: Array, columns: Array) -> float:
-    """Return by how much the best column lowers a cycle's sum of squares with its own unknowns free."""
+    """Return the decrease of a cycle's sum of squares by the best column, with the cycle's unknowns fitted."""
     residual, q = linear.residual[linear.rows[k]], local.shape[1]
     prior = np.diag(np.sqrt(linear.priors.local_precision[k] / max(linear.weights[k], 1e-300)))
     scale = np.sqrt(np.maximum(np.sum(local**2, axis=0) + np.diag(prior) ** 2, 1e-300))
-    own = np.linalg.qr(np.vstack([local, prior]) / scale)[0]
-    both = np.vstack([np.column_stack([residual, columns]), np.zeros((q, 1 + columns.shape[1]))])
-    both -= own @ (own.T @ both)
-    square = np.sum(both[:, 1:] ** 2, axis=0)
-    seen = square > 1e-9 * np.sum(columns**2, axis=0)
-    return float(np.max((both[:, 1:].T @ both[:, 0]) ** 2 / np.where(seen, square, np.inf), initial=0.0))
+    basis = np.linalg.qr(np.vstack([local, prior]) / scale)[0]
+    projected = np.vstack([np.column_stack([residual, columns]), np.zeros((q, 1 + columns.shape[1]))])
+    projected -= basis @ (basis.T @ projected)
+    square = np.sum(projected[:, 1:] ** 2, axis=0)
+    valid = square > 1e-9 * np.sum(columns**2, axis=0)
+    return float(np.max((projected[:, 1:].T @ projected[:, 0]) ** 2 / np.where(valid, square, np.inf), initial=0.0))
 
 
-PERIODS = (1.0, 2.0)  # over the slip speeds; the law's parameters make up for less than one
-PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
+PERIODS = (1.0, 2.0)  # over the slip speeds; the law's parameters absorb less than one
+PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; a change of the spring absorbs most of one
 
 
 def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
-    """Return for each run the wave amplitude that half of its repetitions detect, % of Fs; median over the waves.
+    """Return for each run the wave amplitude, % of Fs, detected in half of its repetitions; median over the waves.
 
-    None where no slip is judged, nothing slips, or even Fs would not be detected, and for a law with memory.
+    None if no slip is judged, nothing slips, or even Fs would not be detected, and for laws with memory.
     """
     motions, width = fit.problem.motions, fit.values.d if fit.problem.ramp else 0.0
     speeds = zip(fit.u[Global.V_DR :: PER_RUN], motions, strict=True)
@@ -495,41 +499,41 @@ def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSli
         return (None,) * len(slips)
     waves = partial(_respond, fit, fastest, max(motion.travel for motion in motions))
     parts = [
-        [part for run in slips for part in (run.bins.sums(left, block), run.bins.sums(left**2, block))]
-        for block, left in linearised.refit(waves)
+        [sums for run in slips for sums in (run.bins.sums(response, block), run.bins.sums(response**2, block))]
+        for block, response in linearised.refit(waves)
     ]
-    sums = [np.concatenate(part) for part in zip(*parts, strict=True)]
-    return tuple(_percent(run, sums[2 * k], sums[2 * k + 1]) for k, run in enumerate(slips))
+    sums = [np.concatenate(blocks) for blocks in zip(*parts, strict=True)]
+    return tuple(_median_percent(run, sums[2 * k], sums[2 * k + 1]) for k, run in enumerate(slips))
 
 
-def _percent(run: RunSlips, sums: Array, squares: Array) -> float | None:
-    """Return the median amplitude, %, of waves with these sums in each bin; None where half would not be detected."""
+def _median_percent(run: RunSlips, sums: Array, squares: Array) -> float | None:
+    """Return the median amplitude, %, of waves with these sums in each bin; None if it is above 100 %."""
     if not run.bins.judged:
         return None
-    typical = 100 * float(np.median([half_seen(run, *wave) for wave in zip(sums.T, squares.T, strict=True)]))
+    typical = 100 * float(np.median([detectable_amplitude(run, *wave) for wave in zip(sums.T, squares.T, strict=True)]))
     return typical if typical < 100 else None
 
 
-def half_seen(run: RunSlips, wave: Array, square: Array) -> float:
-    """Return the amplitude of a wave, of Fs, that rejects half of a run's repetitions; inf without one."""
-    bins, begin = run.bins, least(run.bins)
+def detectable_amplitude(run: RunSlips, wave: Array, square: Array) -> float:
+    """Return the amplitude of a wave, over Fs, at which half of a run's repetitions are rejected; inf without one."""
+    bins, begin = run.bins, least_repeat(run.bins)
     sums, squares = wave[:, None], square[:, None]
     number, occupied = bins.residuals_and_bins
     mean, noise = sums / bins.count[:, None], run.noise_m**2 * float(np.sum(1 / bins.count))
     repeated = float(np.sum(bins.per_phase(mean) ** 2)) / (bins.slips - 1) / noise
     smooth = float(np.median(bins.per_slip(sums**2 / bins.count[:, None]) / occupied)) / run.noise_m**2
-    found = (
+    amplitudes = (
         _amplitude(run.null.repeat - begin, repeated, float(np.sum(mean**2)) / noise),
         _amplitude(run.null.smooth, smooth, float(np.median(bins.per_slip(squares) / number)) / run.noise_m**2),
     )
-    return min(found)
+    return min(amplitudes)
 
 
-def _amplitude(null: Array, excess: float, more: float) -> float:
+def _amplitude(null: Array, excess: float, variance: float) -> float:
     """Return the amplitude a at which a ratio, (mean of ``null`` + a^2 excess)/(1 + a^2 more), reaches its limit."""
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
     limit = gamma_upper_quantile(REJECTED / TESTS, mean, spread)
-    gain = excess - limit * more
+    gain = excess - limit * variance
     return math.sqrt((limit - mean) / gain) if gain > 0 else math.inf
 
 
@@ -546,11 +550,11 @@ def _waves(path: Path, u: Array, fastest: float, travel: float) -> Array:
     F = np.exp(u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
     level = np.where(path.slips, path.side * path.level * F, 0.0)
     friction = np.where(path.slips, path.friction, 0.0)
-    turn = 2 * math.pi * path.slip_speed / fastest
-    place = 2 * math.pi * path.position / travel
+    speed_phase = 2 * math.pi * path.slip_speed / fastest
+    position_phase = 2 * math.pi * path.position / travel
     waves = [
         size * shape(number * argument)
-        for size, argument, numbers in ((level, turn, PERIODS), (friction, place, PERIODS_OF_TRAVEL))
+        for size, argument, numbers in ((level, speed_phase, PERIODS), (friction, position_phase, PERIODS_OF_TRAVEL))
         for number in numbers
         for shape in (np.sin, np.cos)
     ]

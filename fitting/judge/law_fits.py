@@ -1,4 +1,4 @@
-"""Which laws are fitted to a record divided into cycles, with the belt's ripple if it has one."""
+"""Fits of the six laws to records divided into cycles, with the belt's ripple if there is one."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ from typing import Any
 from fitting import noise_levels
 from fitting.judge import evidence, screening
 from fitting.judge.adequacy import describes
-from fitting.judge.parameters import without_level_errors
+from fitting.judge.parameters import remove_level_errors
 from fitting.laws import SIX, Law
 from fitting.model.problem import Run
 from fitting.options import Options
@@ -20,14 +20,14 @@ from fitting.search.fit import Fit
 from processing.record.kinematics import Kinematics
 from stickslip.errors import DataError, InputError
 
-# Error in the start-up drag of a steady belt over that of a rippling one: more shows the ripple.  2 % ripple makes 1.5
-# to 79, three parameters without meaning 1.2.
+# Error in the start-up drag of a fit with a steady belt over that with a ripple: a larger ratio is a ripple.  A ripple
+# of 2 % gives 1.5 to 79, three unnecessary parameters 1.2.
 STEADY_DRAG_ERROR = 1.3
-CONSTANT = (SIX[1], SIX[2])  # laws of constant friction, which alone make a mass graze the belt
+CONSTANT = (SIX[1], SIX[2])  # laws of constant friction: only with these the mass grazes the belt
 
 
 class NoLawError(Exception):
-    """No law fits the record; `rank` returns it as a result where that is stick-slip."""
+    """No law fits the record; a result of `rank` if the record is stick-slip, else an error."""
 
     def __init__(self, reason: str, *, stick_slip: bool) -> None:
         super().__init__(reason)
@@ -38,26 +38,26 @@ class NoLawError(Exception):
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     """Divide a record into cycles, with the belt's ripple removed where the mass sticks often."""
     cut = cycles.segment_cycles(motion, excluded)
-    beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
-    if beyond and cut.cycles:
-        what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
-        raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
+    unknown_numbers = sorted(excluded - {cycle.number for cycle in cut.cycles})
+    if unknown_numbers and cut.cycles:
+        message = f"no cycle {', '.join(map(str, unknown_numbers[:5]))}: the run has {len(cut.cycles)}"
+        raise InputError(message, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
     if len(excluded) == len(cut.cycles) >= noise_levels.FEWEST:
-        what = f"all {len(cut.cycles)} cycles are left out; a verdict needs {noise_levels.FEWEST}"
-        raise InputError(what, "--exclude-cycles", "leave out fewer")
+        message = f"all {len(cut.cycles)} cycles are left out; a verdict needs {noise_levels.FEWEST}"
+        raise InputError(message, "--exclude-cycles", "leave out fewer")
     run = Run(motion, cut)
-    return _with_ripple(run) if cut.sustained else run
+    return _remove_ripple(run) if cut.sustained else run
 
 
-def _with_ripple(run: Run) -> Run:
-    """Return a run with the ripple that its sticks show, if any, cut as on a steady belt."""
-    found = ripple.find_ripple(run.motion, run.cut)
-    if found is None:
+def _remove_ripple(run: Run) -> Run:
+    """Return a run with the ripple found in its sticks, if any, cut as on a steady belt."""
+    wave = ripple.find_ripple(run.motion, run.cut)
+    if wave is None:
         return run
-    return replace(run, cut=cycles.segment_cycles(found.removed(run.motion), _excluded(run)), ripple=found)
+    return replace(run, cut=cycles.segment_cycles(wave.remove_from(run.motion), _exclusions(run)), ripple=wave)
 
 
-def _excluded(run: Run) -> frozenset[int]:
+def _exclusions(run: Run) -> frozenset[int]:
     return frozenset(cycle.number for cycle in run.cut.cycles if cycle.flag == "excluded")
 
 
@@ -69,12 +69,12 @@ def fit_runs(
 ) -> tuple[list[Fit], list[Run], bool, str]:
     """Fit those of the six that may describe the records.
 
-    Also returns their runs, whether the mass sticks often, and the reason to refuse the records unless another law fits
-    them: fits of the six that do not come near refuse a record only if no custom law was requested.
+    Also returns their runs, whether the mass sticks repeatedly, and the reason to reject the records unless another law
+    fits them: a record that none of the six fits roughly is rejected only if no custom law was requested.
     """
     laws = options.competitors.searched
-    sustained = _check(laws, runs, records)
-    seen = sustained  # as the record itself shows, before any law is fitted
+    sustained = _check_cycles(laws, runs, records)
+    record_sticks = sustained  # from the record alone, before any law is fitted
     doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
     if not options.competitors.formulas or doubt == screening.SINE_ALONE:
         refuse(doubt, records)
@@ -90,13 +90,13 @@ def fit_runs(
             records[0].recording.where,
             "add --laws 1,2",
         )
-    # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
-    doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
+    # Residuals of a law that does not fit even roughly say nothing about missing frames.
+    doubt = screening.reject_by_misfit(fits, runs, sustained=record_sticks) or doubt
     if not fits:
         refuse(doubt, records)
     if not doubt:
         screening.refuse_missing_frames(fits, records)
-    if not seen and not any(record.sticks for record in records) and not is_described(fits, runs):
+    if not record_sticks and not any(record.sticks for record in records) and not is_described(fits, runs):
         refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
         refuse(screening.SINE_ALONE, records)
@@ -106,7 +106,7 @@ def fit_runs(
 def _fit_laws(
     laws: Sequence[Law], runs: Sequence[Run], among: Sequence[Law] = tuple(SIX.values()), **how: Any
 ) -> list[Fit]:
-    return [without_level_errors(one) for one in exchange.fit_laws(laws, runs, among, **how)]
+    return [remove_level_errors(fit) for fit in exchange.fit_laws(laws, runs, among, **how)]
 
 
 def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
@@ -114,44 +114,44 @@ def is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
 
 
 def _fit_grazing(
-    laws: Sequence[Law], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
+    laws: Sequence[Law], steady_runs: Sequence[Run], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run], bool]:
-    """Fit the laws to a mass that grazes the belt; also return the runs and whether it sticks often.
+    """Fit the laws to a mass that grazes the belt; also return the runs and whether the mass sticks repeatedly.
 
-    Apparent short sticks may be the tops of a sine, so a ripple comes first only where the start-up drag shows one.
-    Laws with sticks are tried where constant friction misses the record.
+    Short apparent sticks may be the tops of a sine, so a ripple is tried first only if the start-up drag contains one.
+    Laws with sticks are tried if constant friction does not fit the record.
     """
-    tried = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
-    rippled = [_with_ripple(run) for run in steady]
-    if any(run.ripple is not None for run in rippled):
-        tried.append((fit_to(CONSTANT, rippled, CONSTANT), rippled))
-        still, swinging = (evidence.drag_error(*one) for one in tried)
-        if still > STEADY_DRAG_ERROR * swinging:
-            tried.reverse()
-    for fits, runs in tried:
-        if not _more_than_constant(fits, runs):
+    attempts = [(fit_to(CONSTANT, steady_runs, CONSTANT), steady_runs)]
+    rippled_runs = [_remove_ripple(run) for run in steady_runs]
+    if any(run.ripple is not None for run in rippled_runs):
+        attempts.append((fit_to(CONSTANT, rippled_runs, CONSTANT), rippled_runs))
+        steady_error, ripple_error = (evidence.drag_error(*attempt) for attempt in attempts)
+        if steady_error > STEADY_DRAG_ERROR * ripple_error:
+            attempts.reverse()
+    for fits, runs in attempts:
+        if not _rejects_constant_friction(fits, runs):
             return fits, runs, False
-    found = []
-    for _, choice in tried:
+    rejected = []
+    for _, choice in attempts:
         fits = fit_to(laws, choice)
         if fits and is_described(fits, choice):
             return fits, choice, True
-        found.append((min((fit.geometric_mean_rms for fit in fits), default=math.inf), fits, choice))
-    _, fits, runs = min(found, key=lambda one: one[0])
+        rejected.append((min((fit.geometric_mean_rms for fit in fits), default=math.inf), fits, choice))
+    _, fits, runs = min(rejected, key=lambda attempt: attempt[0])
     return fits, runs, True
 
 
-def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether laws 1 and 2 miss a motion without sustained sticks by more than noise."""
+def _rejects_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Return whether the residuals of laws 1 and 2 exceed the noise, on a motion without sustained sticks."""
     if not fits or evidence.rules_out_constant_friction(fits, runs):
         return True
-    # A record that may be a sine is refused elsewhere, and of several runs the drags of all decide.
+    # A record that may be a sine is rejected elsewhere; for several runs the drags of all decide.
     alone = len(runs) == 1 and runs[0].cut.uses_start
     return alone and not describes(fits, [run.motion for run in runs])
 
 
-def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
-    """Return whether the mass sticks in the long run; DataError unless there are enough cycles of one kind."""
+def _check_cycles(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
+    """Return whether the mass sticks repeatedly; DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, record in zip(runs, records, strict=True):
@@ -166,10 +166,10 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
     if count < noise_levels.FEWEST:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
             refuse(f"{count} whole swing{'' if count == 1 else 's'} in it, and no stick", records)
-        if count:  # a longer record of another motion would be none either
+        if count:  # recording longer would not help if this is not stick-slip
             refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
-        left = sum(len(run.cut.cycles) for run in runs) - count
-        out = f", {left} more left out" if left else ""
+        excluded = sum(len(run.cut.cycles) for run in runs) - count
+        out = f", {excluded} more left out" if excluded else ""
         raise DataError(
             f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {noise_levels.FEWEST}",
             ", ".join(sources),
@@ -182,7 +182,7 @@ def _check(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Kinematic
 
 
 def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
-    if any(map(_excluded, runs)):
+    if any(map(_exclusions, runs)):
         return "leave out fewer (--exclude-cycles)"
     if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
         return (

@@ -1,16 +1,17 @@
-"""The departures that are tried, with the velocity v of the mass over ground, the stretch z, the travel b of the belt.
+"""The departures that are tried: v is the velocity of the mass over ground, z the stretch, b the travel of the belt.
 
 - ``spring-nonlinear``: the spring's force is -k z - k3 z^3, positive k3 for a hard spring. Source: A. H. Nayfeh,
   D. T. Mook, Nonlinear Oscillations, 1979, ch. 4.
-- ``drag-quadratic``: -q v |v|. A free friction curve takes it up at one belt speed: only runs at several, or a law
-  whose curve is of another form, show it. Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1987, par. 45.
+- ``drag-quadratic``: -q v |v|. At one belt speed a free friction curve absorbs it: only runs at several speeds, or
+  a law whose curve has another form, distinguish it. Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1987,
+  par. 45.
 - ``guide-friction``: -Fg sign(v), Coulomb friction in the guide of the mass. At one belt speed only the jump where the
   mass turns distinguishes it from friction of the belt. Not modelled: a guide that holds the mass at rest. Source:
   B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083.
-- ``eccentricity``: the reading errs by e sin(2 pi x/L + phase), L the revolution of the encoder wheel, calibrated or
-  scanned. For a camera or a laser it is the lens or the scale.
+- ``eccentricity``: an error e sin(2 pi x/L + phase) of the reading, L the revolution of the encoder wheel, calibrated
+  or scanned. For a camera or a laser the cause is the lens or the scale.
 - ``belt-drift``: v_b (1 + a (t - t_mid)), the same a in each run of a joint fit; so is that of ``stiffness-drift``.
-- ``belt-ripple``: v_b + r sin(2 pi f t + phase), a second one beside that fitted with the laws, or too weak for it
+- ``belt-ripple``: v_b + r sin(2 pi f t + phase), a second ripple, or one too weak to be fitted with the laws
   (`fitting.record.ripple`). f is searched in the residual of the sticks, where the mass moves as the belt does.
 - ``stiffness-drift``: k (1 + a (t - t_mid)), as by the spring's temperature.
 - ``second-mode``: a second mass on the first: m2 (x + z)'' = -k2 z - c2 z'. m2/m is given, sqrt(k2/m2) scanned. It
@@ -36,14 +37,14 @@ from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 
 SMALLEST_REVOLUTION = 0.04  # revolution over the travel: a smaller wheel would turn 25 times in a slip
-MOST_PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
+MOST_PEAKS = 8  # gaps between the sticks cause false peaks near the true one, two or three of them strong
 MODE_DAMPING = 0.01  # damping of a second mass over the critical one
-SLOWEST_MODE, FASTEST_MODE = 1.5, 15.0  # over the main spring's: slower is a second spring, faster moves with the mass
+SLOWEST_MODE, FASTEST_MODE = 1.5, 15.0  # over the main mode's: slower is a second spring, faster moves with the mass
 FREQUENCY_STEP = 0.012  # relative step between frequencies: about half the width of the resonance
 HELD_SLIPS = 8e-3  # time for which the acceleration is held, in slips; at the fastest mode a tenth of its period
-SHORTEST_BELT = 0.7  # length over the way between mass and belt in a cycle: a shorter one turns more than once in it
-LONGEST_BELT = 0.7  # length over the way in the whole record: on a longer one a place that does not come back is wear
-SHORTEST_WAVELENGTH = 0.08  # wavelength over the travel: what repeats more often in a slip averages out
+SHORTEST_BELT = 0.7  # length over the travel between mass and belt in a cycle: a shorter one turns more than once in it
+LONGEST_BELT = 0.7  # length over the travel in the whole record: a longer one does not repeat, and acts as wear
+SHORTEST_WAVELENGTH = 0.08  # wavelength over the travel: a shorter one averages out in a slip
 
 
 def cube_of_stretch(trajectory: FittedMotion, _: float) -> Forcing:
@@ -84,16 +85,16 @@ def ripple_frequencies(trajectory: FittedMotion) -> Array:
     window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
     times, residuals = [], []
     for stick in np.flatnonzero(trajectory.sticks):
-        part = window == stick
-        times.append(time[part])
-        residuals.append(trajectory.residual[part] - trajectory.residual[part].mean())
+        rows = window == stick
+        times.append(time[rows])
+        residuals.append(trajectory.residual[rows] - trajectory.residual[rows].mean())
     if len(times) < noise_levels.FEWEST:
         return np.empty(0)
     slip_s = trajectory.slip_s
-    peaks, apart = strongest_frequencies(
+    peaks, resolution = strongest_frequencies(
         np.concatenate(times), np.concatenate(residuals), slip_s, SLOWEST_OF_FEW / slip_s, MOST_PEAKS
     )
-    neighbours = np.unique(np.add.outer(peaks, apart * np.arange(-1, 2)).ravel())
+    neighbours = np.unique(np.add.outer(peaks, resolution * np.arange(-1, 2)).ravel())
     return np.asarray(neighbours[neighbours > 0])
 
 
@@ -106,24 +107,24 @@ def pull_of_second_mass(trajectory: FittedMotion, omega: float) -> Forcing:
     """Return the pull of an equal mass, in phase and a quarter turn later, m/s^2."""
     out = np.empty((trajectory.time.size, 2))
     for run, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
-        time, drive = held_acceleration(record)
+        time, drive = step_acceleration(record)
         pull = follow_second_mass(drive, time[1] - time[0], omega)
-        place = (trajectory.time[run] - time[0]) / (time[1] - time[0])
-        before = np.minimum(place.astype(np.int64), time.size - 2)
-        share = (place - before)[:, np.newaxis]
+        step_number = (trajectory.time[run] - time[0]) / (time[1] - time[0])
+        before = np.minimum(step_number.astype(np.int64), time.size - 2)
+        share = (step_number - before)[:, np.newaxis]
         out[run] = (1 - share) * pull[before] + share * pull[before + 1]
     return Forcing(acceleration=out)
 
 
 @lru_cache(maxsize=8)  # one a run: every frequency uses the same drive
-def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
+def step_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
     """Return times and mean accelerations, m/s^2, of steps of about `HELD_SLIPS` slips."""
     interval = float(np.median(np.diff(record.time)))
-    held = max(1, int(HELD_SLIPS * record.slip_s / interval))
-    count = int((record.time[-1] - record.time[0]) / (held * interval))
-    fine = record.time[0] + interval * np.arange(count * held)
-    mean = np.interp(fine, record.time, record.acceleration).reshape(count, held).mean(axis=1)
-    return record.time[0] + held * interval * np.arange(count), mean
+    samples_per_step = max(1, int(HELD_SLIPS * record.slip_s / interval))
+    count = int((record.time[-1] - record.time[0]) / (samples_per_step * interval))
+    fine = record.time[0] + interval * np.arange(count * samples_per_step)
+    mean = np.interp(fine, record.time, record.acceleration).reshape(count, samples_per_step).mean(axis=1)
+    return record.time[0] + samples_per_step * interval * np.arange(count), mean
 
 
 def follow_second_mass(acceleration: Array, step: float, omega: float) -> Array:
@@ -148,8 +149,8 @@ def friction_along_belt(trajectory: FittedMotion, length: float) -> Forcing:
 
 
 def belt_lengths(trajectory: FittedMotion) -> Array:
-    way = trajectory.belt_way
-    return spaced(SHORTEST_BELT * way / trajectory.cycles, LONGEST_BELT * way, way)
+    travel = trajectory.belt_way
+    return spaced(SHORTEST_BELT * travel / trajectory.cycles, LONGEST_BELT * travel, travel)
 
 
 def friction_along_travel(trajectory: FittedMotion, wavelength: float) -> Forcing:

@@ -1,6 +1,6 @@
-"""The distance of a law's orbit from the measured one in the phase plane: the comparison by eye, as a number.
+"""The distance of a law's orbit from the measured orbit in the phase plane: the comparison by eye, as a number.
 
-Its margins are tiny (laws with tenfold errors look the same): it is shown with the evidence, not part of it.
+Laws whose errors differ tenfold have nearly the same distance, so it is reported but is not part of the evidence.
 """
 
 from dataclasses import dataclass

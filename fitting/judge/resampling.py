@@ -1,12 +1,12 @@
-"""Errors of a fitted law without a covariance: fits of drawn cycles, and fits with one parameter fixed.
+"""Errors of a fitted law without a covariance: bootstrap over cycles, and profile likelihood.
 
-Bootstrap.  Residuals are correlated within a cycle, and each break-away draws a new friction level.  So cycles are
-drawn, by the exponential weights of the Bayesian bootstrap (D. Rubin, Ann. Statist. 9 (1981) 130), which omits none.
+Bootstrap.  Residuals are correlated within a cycle, and the friction level is new in each.  So cycles are resampled,
+with the exponential weights of the Bayesian bootstrap (D. Rubin, Ann. Statist. 9 (1981) 130), which omit none.
 Calibrations are drawn from their errors.  Each draw is fitted with a warm start.
 
-Profile.  One parameter is fixed at a row of values and all others are fitted again.  The deviance is twice the rise of
-the objective: in a linear problem the square of the distance in standard errors.  It excludes the errors of the metres
-per count and of the mass, which only scale the result.
+Profile.  One parameter is fixed at several values and all others are fitted again.  The deviance is twice the rise of
+the objective: in a linear problem it is the square of the distance in standard errors.  It excludes the errors of the
+metres per count and of the mass, which only scale the result.
 """
 
 import math
@@ -24,8 +24,8 @@ from fitting.search.fit import Fit
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, nearest
 
-FIRST_DAMPING = 1e-6  # damping over the curvatures: each fit starts near its end, which does not depend on it
-FEWEST_FITTED = 0.9  # share of draws that must be fitted: the outermost tenth has 44 % of a normal variance
+FIRST_DAMPING = 1e-6  # damping over the curvatures; each fit starts near its minimum, which does not depend on it
+FEWEST_FITTED = 0.9  # share of draws that must be fitted: the outermost tenth is 44 % of a normal variance
 # Reach in standard errors on either side, and fits on each.
 PROFILE_REACH, PROFILE_STEPS = 3.0, 6
 
@@ -35,72 +35,72 @@ def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dic
     if not (isinstance(n, int) and n >= 2):
         raise InputError(f"n is {n!r}", "bootstrap", "give 2 draws or more; 200 show a standard error to 5 %")
     rng, problem = np.random.default_rng(seed), fit.least_squares
-    shown = independent_parameters(fit, motion)
+    independent = independent_parameters(fit, motion)
     spread = np.where(problem.precision > 0, 1 / np.sqrt(np.where(problem.precision > 0, problem.precision, 1.0)), 0.0)
-    found = []
+    draws = []
     for _ in range(n):
         weight = rng.exponential(size=problem.weights.size)
         prior = problem.prior + spread * rng.standard_normal(spread.size)
-        longer, unseen = 1 + motion.length_error * float(rng.standard_normal()), float(rng.standard_normal())
-        drawn = replace(
+        scale, unconstrained = (1 + motion.length_error * float(rng.standard_normal()), float(rng.standard_normal()))
+        draw = replace(
             problem,
             weights=problem.weights * weight,
             local_precision=problem.local_precision * weight[:, np.newaxis],
             prior=np.clip(prior, problem.lower, problem.upper),
         )
-        solution = _fitted(drawn, fit.q, fit.local)
+        solution = _refit(draw, fit.q, fit.local)
         if solution is not None:
-            found.append(shown.at(solution.u, unseen) * longer**shown.lengths)
-    if len(found) < FEWEST_FITTED * n:
-        what = f"{n - len(found)} of {n} draws of cycles cannot be fitted"
-        raise DataError(what, "bootstrap", "use the covariance, or record more cycles")
-    return dict(zip(shown.names, np.array(found).T, strict=True))
+            draws.append(independent.at(solution.u, unconstrained) * scale**independent.lengths)
+    if len(draws) < FEWEST_FITTED * n:
+        message = f"{n - len(draws)} of {n} draws of cycles cannot be fitted"
+        raise DataError(message, "bootstrap", "use the covariance, or record more cycles")
+    return dict(zip(independent.names, np.array(draws).T, strict=True))
 
 
 def profile(fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], name: str) -> dict[str, Array]:
     """Return ``value`` (k,) of a parameter, and with it fixed there ``deviance`` (k,) and ``rms_m`` (k,).
 
-    Unknown, fixed or dependent ones raise InputError, a motion that cannot be followed DataError.
+    Unknown, fixed or dependent parameters raise InputError, a motion that cannot be followed DataError.
     """
     if name not in parameters:
         raise InputError(f"law {fit.law.name} has no parameter {name!r}", "profile", nearest(name, list(parameters)))
-    item, unknown = parameters[name], unknown_of(fit, motion, name)
+    parameter, unknown = parameters[name], unknown_of(fit, motion, name)
     if unknown is None:
-        able = [other for other in parameters if unknown_of(fit, motion, other) and not parameters[other].fixed]
-        raise InputError(f"{name} follows from other parameters", "profile", f"take one of {', '.join(able)}")
+        profiled = [other for other in parameters if unknown_of(fit, motion, other) and not parameters[other].fixed]
+        raise InputError(f"{name} follows from other parameters", "profile", f"take one of {', '.join(profiled)}")
     (index, value), problem = unknown, fit.least_squares
-    if item.fixed or problem.lower[index] == problem.upper[index]:
+    if parameter.fixed or problem.lower[index] == problem.upper[index]:
         raise InputError(f"{name} is fixed", "profile", "name a parameter that is fitted, or leave it out of fix")
-    least = _fitted(problem, fit.q, fit.local) or fit.solution
-    middle = float(least.u[index])
-    sd = math.sqrt(max(float(own[index, index]) for own in covariances(fit)))
-    found = [(value(middle), least)]
+    minimum = _refit(problem, fit.q, fit.local) or fit.solution
+    middle = float(minimum.u[index])
+    sd = math.sqrt(max(float(covariance[index, index]) for covariance in covariances(fit)))
+    points = [(value(middle), minimum)]
     for side in (-1.0, 1.0):
-        at = least
+        neighbour = minimum
         for step in range(1, PROFILE_STEPS + 1):
             u = middle + side * PROFILE_REACH * step / PROFILE_STEPS * sd
             if not problem.lower[index] <= u <= problem.upper[index]:
                 break
-            solution = _fitted(_held(problem, index, u), at.u, at.local)
+            solution = _refit(_hold_unknown(problem, index, u), neighbour.u, neighbour.local)
             if solution is None:
                 break
-            at = solution
-            found.append((value(u), solution))
-    if len(found) == 1:
+            neighbour = solution
+            points.append((value(u), solution))
+    if len(points) == 1:
         raise DataError(f"the motion cannot be followed with other values of {name}", "profile", "use its interval")
-    found.sort(key=lambda one: one[0])
+    points.sort(key=lambda point: point[0])
     return {
-        "value": np.array([at for at, _ in found]),
-        "deviance": np.array([2 * (solution.cost - least.cost) for _, solution in found]),
-        "rms_m": np.array([float(np.sqrt(np.mean(solution.residual**2))) for _, solution in found]),
+        "value": np.array([x for x, _ in points]),
+        "deviance": np.array([2 * (solution.cost - minimum.cost) for _, solution in points]),
+        "rms_m": np.array([float(np.sqrt(np.mean(solution.residual**2))) for _, solution in points]),
     }
 
 
-def _held(problem: LeastSquaresProblem, index: int, value: float) -> LeastSquaresProblem:
+def _hold_unknown(problem: LeastSquaresProblem, index: int, value: float) -> LeastSquaresProblem:
     lower, upper = problem.lower.copy(), problem.upper.copy()
     lower[index] = upper[index] = value
     return replace(problem, lower=lower, upper=upper)
 
 
-def _fitted(problem: LeastSquaresProblem, u: Array, local: Array) -> Solution | None:
+def _refit(problem: LeastSquaresProblem, u: Array, local: Array) -> Solution | None:
     return levenberg_marquardt.minimise(problem, u, local, damping=FIRST_DAMPING)

@@ -1,13 +1,13 @@
-"""Records that are refused: frames lost among even times, too few samples in a slip, no belt stick-slip.
+"""Records that are rejected: lost frames with even time stamps, too few samples in a slip, no belt stick-slip.
 
-Frames.  A lost (or doubled) frame moves all later positions by v dt.  The residual of a window is then noise and a
-random walk, whose variance grows by p (v dt)^2 a sample when a share p of the frames is missing.  The residual is cut
-into pieces, each less a cubic and the mean over the cycles, which removes the misfit of a wrong law, a ripple or wear;
-the squared modes of the walk are regressed on the variances that noise and walk give to each.  Noise may be correlated
-over three samples; where rounding dominates it, nothing is tested.
+Frames.  A lost (or doubled) frame moves all later positions by v dt.  The residual of a window is then noise plus a
+random walk, whose variance grows by p (v dt)^2 a sample when a share p of the frames is missing.  The residual is
+divided into pieces.  A cubic and the mean over the cycles are subtracted from each, which removes the misfit of a wrong
+law, a ripple or wear.  The squared modes of the walk are regressed on the variances of noise and walk in each mode.
+Noise may be correlated over three samples; where rounding dominates it, nothing is tested.
 
-Stick-slip.  A record without cycles, or one that no law fits roughly, is refused; what the motion shows explains why.
-One fact decides alone, since fits to such records are costly: a spring accelerates the mass between its sticks.
+Stick-slip.  A record without cycles, or that no law fits roughly, is rejected; properties of the motion explain why.
+One property is decisive, since fits to such records are costly: a spring accelerates the mass between its sticks.
 """
 
 import math
@@ -28,7 +28,7 @@ from fitting.model.problem import Run
 from fitting.record.cycles import Cycle, CycleSegmentation
 from fitting.record.motion import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.search.fit import Fit
-from fitting.search.passes import first_pass, regressed_start
+from fitting.search.passes import first_pass, start_from_regression
 from processing.record.kinematics import Kinematics
 from processing.record.motion import Finding
 from processing.record.noise import DITHERED
@@ -40,10 +40,10 @@ PIECE_SAMPLES = (16, 32, 64, 128, 192, 256)  # of a piece: the shortest that giv
 TREND_DEGREE = 3  # degree of the polynomial taken off each piece
 NOISE_LAGS = 3  # samples over which noise may be correlated
 SHARE_ERROR = 0.005  # standard error of the share without lost frames: 5 % lost are ten errors
-# Share of lost frames in standard errors where losses are possible, and sure; between them longer pieces decide.
+# Share of lost frames, in standard errors, above which losses are possible, and certain; between, longer pieces decide.
 POSSIBLE_ERRORS, SURE_ERRORS = 3.0, 6.0
-LEAST_SHARE_LOST = 0.01  # less moves parameters by less than 1 %
-ERRORS_BETWEEN_CYCLES = 2.5  # share in standard errors by the scatter between cycles, which the walk makes large
+LEAST_SHARE_LOST = 0.01  # smallest reported share: it changes parameters by less than 1 %
+ERRORS_BETWEEN_CYCLES = 2.5  # the same by the errors from the scatter between cycles, which the walk enlarges
 FEWEST_PIECES = 8
 REWEIGHTINGS = 4  # fits, each with the weights of the last
 
@@ -53,15 +53,15 @@ class PieceModes:
     """Modes of a random walk in a piece of n samples, without its cubic."""
 
     vectors: Array
-    noise: Array  # variance that noise of unit autocovariance at each lag gives to each mode
+    noise: Array  # variance of each mode under noise of unit autocovariance at each lag
     walk: Array  # the same of a random walk of unit steps
 
 
 @lru_cache(maxsize=len(PIECE_SAMPLES))
 def piece_modes(n: int) -> PieceModes:
     smooth = np.linalg.qr(np.vander(np.linspace(-1, 1, n), TREND_DEGREE + 1))[0]
-    left = np.eye(n) - smooth @ smooth.T
-    steps = left @ np.tril(np.ones((n, n)))
+    projection = np.eye(n) - smooth @ smooth.T
+    steps = projection @ np.tril(np.ones((n, n)))
     size, vectors = np.linalg.eigh(steps @ steps.T)
     size, vectors = size[TREND_DEGREE + 1 :], vectors[:, TREND_DEGREE + 1 :]  # the smallest belong to the cubic
     lags = [np.eye(n, k=lag) + (lag > 0) * np.eye(n, k=-lag) for lag in range(NOISE_LAGS + 1)]
@@ -69,19 +69,20 @@ def piece_modes(n: int) -> PieceModes:
 
 
 def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None:
-    """Return the share of lost (or doubled) frames of a run, 0 to 1, by the best law; None where none is detected."""
+    """Return the share of lost (or doubled) frames of a run, 0 to 1, from the best law; None if none is detected."""
     motion = fit.problem.motions[run]
     if record.recording.raw is not None or not record.even_times or motion.resolution < DITHERED * motion.step:
         return None
-    own = fit.for_run(run)
+    fit_of_run = fit.for_run(run)
     interval = float(np.median(np.diff(record.time)))
     for n in PIECE_SAMPLES:
-        squares, speeds, cycle = _pieces(own, n, interval)
+        squares, speeds, cycle = _pieces(fit_of_run, n, interval)
         if len(cycle) < FEWEST_PIECES or np.unique(cycle).size < noise_levels.FEWEST:
             return None
-        found = _regressed(squares, speeds, cycle, piece_modes(n), SHARE_ERROR if n < PIECE_SAMPLES[-1] else math.inf)
-        if found is not None:
-            share, null = found
+        certain = SHARE_ERROR if n < PIECE_SAMPLES[-1] else math.inf
+        regression = _regress_share(squares, speeds, cycle, piece_modes(n), certain)
+        if regression is not None:
+            share, null = regression
             if share.value > max(LEAST_SHARE_LOST, SURE_ERRORS * null, ERRORS_BETWEEN_CYCLES * share.sd):
                 return share
             if share.value < POSSIBLE_ERRORS * null:
@@ -90,7 +91,7 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
 
 
 def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
-    """Return squared modes (k, m), m^2, mean square step (k,), m^2, and cycle of every piece, less the cycles' mean."""
+    """Return squared modes (k, m), m^2, less the cycles' mean, mean square step (k,), m^2, and cycle of each piece."""
     modes, steps, cycles, places = [], [], [], []
     windows = fit.windows
     model, vectors = fit.residual + windows.position, piece_modes(n).vectors
@@ -106,19 +107,19 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
             steps.append(float(np.mean(np.gradient(model[piece]) ** 2)))
             cycles.append(int(cycle))
             places.append(2 * number + int(stick))
-    place = np.array(places, np.int64)
-    squares = np.array(modes).reshape(place.size, vectors.shape[1])
-    kept = np.zeros(place.size, np.bool_)
-    for one in np.unique(place):
-        own = place == one
-        count = int(own.sum())
+    place_of_piece = np.array(places, np.int64)
+    squares = np.array(modes).reshape(place_of_piece.size, vectors.shape[1])
+    judged = np.zeros(place_of_piece.size, np.bool_)
+    for place in np.unique(place_of_piece):
+        in_place = place_of_piece == place
+        count = int(in_place.sum())
         if count >= noise_levels.FEWEST:
-            squares[own] = (squares[own] - squares[own].mean(axis=0)) ** 2 * (count / (count - 1))
-            kept |= own
-    return squares[kept], np.array(steps)[kept], np.array(cycles, np.int64)[kept]
+            squares[in_place] = (squares[in_place] - squares[in_place].mean(axis=0)) ** 2 * (count / (count - 1))
+            judged |= in_place
+    return squares[judged], np.array(steps)[judged], np.array(cycles, np.int64)[judged]
 
 
-def _regressed(
+def _regress_share(
     squares: Array, steps: Array, cycle: Integers, modes: PieceModes, certain: float
 ) -> tuple[Measured, float] | None:
     """Return the share, and its error without lost frames; None where the latter is above ``certain``."""
@@ -136,92 +137,92 @@ def _regressed(
             null = float(np.sqrt(2 * inverse[-1, -1]))
             if null > certain:
                 return None
-        found = inverse @ np.einsum("akm,km->a", columns, weight * squares)
-        expected = np.einsum("a,akm->km", found, columns)
+        coefficients = inverse @ np.einsum("akm,km->a", columns, weight * squares)
+        expected = np.einsum("a,akm->km", coefficients, columns)
         variance = np.maximum(expected, 0.1 * level)
     pull = np.einsum("akm,km->ka", columns, weight * (squares - expected)) @ inverse[-1]
-    by_cycle = np.array([pull[cycle == one].sum() for one in np.unique(cycle)])
+    by_cycle = np.array([pull[cycle == number].sum() for number in np.unique(cycle)])
     spread = float(np.sqrt(np.sum(by_cycle**2) * by_cycle.size / (by_cycle.size - 1)))
-    return Measured(float(found[-1]), spread), null
+    return Measured(float(coefficients[-1]), spread), null
 
 
-ONE_SPEED = 0.2  # difference over the usual stick's speed; on a wide ramp scatter moves a stick by 0.1
+ONE_SPEED = 0.2  # difference over the median stick's speed; on a wide ramp scatter causes 0.1
 FEWEST_STICKS = 2  # sticks to distinguish one speed from several
-FEWEST_SAMPLES = 8  # samples in the usual slip, chosen: with 4, wrong laws win
-ENOUGH_SAMPLES = 20  # samples in the usual slip, chosen: with fewer, a refusal advises a higher rate
-BEYOND_NOISE = 20.0  # way in standard deviations of a position: a mass that moves by less does not move
-FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
-EVEN_SLIP = 0.1  # change of velocity in the middle half of a slip, over its speed; a spring makes 0.3 or more
-DIES_AWAY = 0.7  # speed in the last third over that at first, of a motion that dies away
-WORST_ERROR = 0.02  # error over a slip's length: in stick-slip laws leave at most 0.004, also in a rough fit
-LEAST_FRICTION = 1e-3  # friction over the spring's pull in a slip: with less, nothing holds the mass
+FEWEST_SAMPLES = 8  # samples in the median slip, chosen: with 4, wrong laws win
+ENOUGH_SAMPLES = 20  # samples in the median slip, chosen: with fewer, a rejection advises a higher rate
+BEYOND_NOISE = 20.0  # travel in standard deviations of a position, below which the mass does not move
+FEW = 8  # sticks needed to recognise stick-slip
+EVEN_SLIP = 0.1  # change of velocity in the middle half of a slip, over its speed; a spring causes 0.3 or more
+DIES_AWAY = 0.7  # largest speed in the last third over that in the first, of a motion that dies away
+WORST_ERROR = 0.02  # error over a slip's length: laws fit stick-slip to 0.004 or less, also in a rough fit
+LEAST_FRICTION = 1e-3  # friction over the spring's force in a slip, below which the mass does not stick
 SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
-WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
+WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which times are unreliable
 NONE_NEAR = "no law comes near it"
 NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
-LEAST_SHARE = 0.15  # of the record in sticks: stick-slip of paper on paper has 0.19 and more
-RETURNS = (0.5, 2.0)  # median way back in a slip, over that of a stick: paper on paper has 0.83 and 1.01, steps 0.04
+LEAST_SHARE = 0.15  # smallest share of the record in sticks: stick-slip of paper on paper has 0.19 and more
+RETURNS = (0.5, 2.0)  # median travel back in a slip over that of a stick: paper on paper has 0.83 and 1.01, steps 0.04
 
 
 def refusal(
     why: str, contradicted: Sequence[Sequence[Finding]], runs: Sequence[Run], records: Sequence[Kinematics]
 ) -> DataError:
-    """Return the error of records whose laws cannot be ranked; ``contradicted`` by each run, if a law fits without."""
-    where = ", ".join(record.recording.where for record in records)
-    findings = [finding for own in contradicted for finding in own]
+    """Return the error for records whose laws cannot be ranked; ``contradicted`` are the calibrations of each run."""
+    sources = ", ".join(record.recording.where for record in records)
+    findings = [finding for findings_of_run in contradicted for finding in findings_of_run]
     if findings:
-        error = DataError(findings[0].text, where, "check its value and its sign, or leave it out")
+        error = DataError(findings[0].text, sources, "check its value and its sign, or leave it out")
         error.add_result({"findings": [vars(finding) for finding in findings]}, [])
         return error
-    return DataError(*_no_stick_slip(why, runs, records, where))
+    return DataError(*_no_stick_slip(why, runs, records, sources))
 
 
-def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], where: str) -> tuple[str, str, str]:
+def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], sources: str) -> tuple[str, str, str]:
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
-        return f"no belt stick-slip in this record: {why}", where, do
+        return f"no belt stick-slip in this record: {why}", sources, do
     if why in (NONE_NEAR, NOT_DESCRIBED):
         share = 100 * records[0].plateau_fraction
         why += f", and it sticks for {share:.2g} % of the time" if records[0].sticks else ", and it shows no stick"
-        samples, slip_s = min(_slip(run.motion, record) for run, record in zip(runs, records, strict=True))
+        samples, slip_s = min(_slip_sampling(run.motion, record) for run, record in zip(runs, records, strict=True))
         if samples < ENOUGH_SAMPLES:
             why += f", at {round(samples)} samples a slip"
-            rate = f"{_rounded_up(ENOUGH_SAMPLES / slip_s):g} Hz or more, {ENOUGH_SAMPLES} samples a slip"
+            rate = f"{_round_up(ENOUGH_SAMPLES / slip_s):g} Hz or more, {ENOUGH_SAMPLES} samples a slip"
             do = f"look at it with 'process inspect'; if it sticks and slips, record at {rate}"
-            return f"no belt stick-slip in this record: {why}", where, do
-    return f"no belt stick-slip in this record: {why}", where, AGAIN
+            return f"no belt stick-slip in this record: {why}", sources, do
+    return f"no belt stick-slip in this record: {why}", sources, AGAIN
 
 
 def refuse_wrong_times(record: Kinematics) -> None:
-    """Raise DataError for frames lost or doubled among even times: their places are unknown."""
+    """Raise DataError for lost or doubled frames with even time stamps: it is unknown which frames they are."""
     for finding in record.findings:
         if finding.code in WRONG_TIMES:
             raise _wrong_times(f"{100 * finding.value:.2g}", WRONG_TIMES[finding.code], record)
 
 
 def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
-    samples_per_slip, slip_s = _slip(motion, record)
+    samples_per_slip, slip_s = _slip_sampling(motion, record)
     samples = round(samples_per_slip)
     if samples >= FEWEST_SAMPLES:
         return
-    what = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
+    message = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
     lasts = f"{slip_s:.3g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
-    # one sample more than needed: how many a slip has is known to a sample (`fitting.record.motion`)
-    do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts about {lasts}"
-    error = DataError(what, record.recording.where, do)
-    found = Finding("samples-per-slip", f"{what}: {do}", float(samples), float(FEWEST_SAMPLES))
-    error.add_result({"findings": [vars(found)]}, [])
+    # one sample more than needed: the number in a slip is accurate to one sample (`fitting.record.motion`)
+    do = f"record at {_round_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts about {lasts}"
+    error = DataError(message, record.recording.where, do)
+    finding = Finding("samples-per-slip", f"{message}: {do}", float(samples), float(FEWEST_SAMPLES))
+    error.add_result({"findings": [vars(finding)]}, [])
     raise error
 
 
-def _slip(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
+def _slip_sampling(motion: MeasuredMotion, record: Kinematics) -> tuple[float, float]:
     return motion.samples_per_slip, motion.samples_per_slip * float(np.median(np.diff(record.time)))
 
 
-def _rounded_up(rate: float) -> float:
+def _round_up(rate: float) -> float:
     step = 10.0 ** (math.floor(math.log10(rate)) - 1)
     return step * math.ceil(rate / step)
 
@@ -238,7 +239,7 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
-    best = min((fit for fit in fits if fit.whole), key=lambda fit: fit.geometric_mean_rms, default=None)
+    best = min((fit for fit in fits if fit.finished), key=lambda fit: fit.geometric_mean_rms, default=None)
     for run, record in enumerate(records):
         share = None if best is None else missing_share(best, record, run)
         if share is not None:
@@ -256,7 +257,7 @@ def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
 
 
 def is_stick_slip(record: Kinematics) -> bool:
-    """Return whether sticks of one speed alternate with slips back, as long and at a changing speed."""
+    """Return whether sticks of one speed alternate with slips back, of equal length and at a changing speed."""
     sticks = record.sticks
     if len(sticks) < FEW or record.plateau_fraction < LEAST_SHARE:
         return False
@@ -264,23 +265,23 @@ def is_stick_slip(record: Kinematics) -> bool:
     speed = np.array([np.median(v[stick.first : stick.last + 1]) for stick in sticks])
     if float(np.quantile(np.abs(speed / np.median(speed) - 1), 0.8)) > ONE_SPEED:
         return False
-    slips = [(one.last, other.first) for one, other in pairwise(sticks)]
+    slips = [(before.last, after.first) for before, after in pairwise(sticks)]
     advance = float(np.median([x[stick.last] - x[stick.first] for stick in sticks]))
     ratio = float(np.median([x[i] - x[j] for i, j in slips])) / advance
     middles = [v[i + (j - i) // 4 : j - (j - i) // 4 + 1] for i, j in slips]
-    changes = [np.ptp(part) / max(abs(float(np.mean(part))), 1e-9) for part in middles]
+    changes = [np.ptp(speeds) / max(abs(float(np.mean(speeds))), 1e-9) for speeds in middles]
     return RETURNS[0] < ratio < RETURNS[1] and float(np.median(changes)) > EVEN_SLIP
 
 
 def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
     """Return why no law could be fitted to the cycles of a record, or ""."""
-    # Cycles at rest half the time are left out of the fit, but show as well as any other what drives the mass.
-    seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
-    if not seen:
+    # Cycles with rests are not fitted, but show as well as any other what drives the mass.
+    cycles = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
+    if not cycles:
         flags = ", ".join(dict.fromkeys(cycle.flag for cycle in cut.cycles))
-        return f"every cycle is left out ({flags})" if flags else _of_motion(motion)
-    begin = np.searchsorted(motion.time, [cycle.break_away for cycle in seen])
-    end = np.minimum(np.searchsorted(motion.time, [cycle.landing for cycle in seen]), motion.time.size - 1)
+        return f"every cycle is left out ({flags})" if flags else _reject_by_motion(motion)
+    begin = np.searchsorted(motion.time, [cycle.break_away for cycle in cycles])
+    end = np.minimum(np.searchsorted(motion.time, [cycle.landing for cycle in cycles]), motion.time.size - 1)
     turned = _reversal(motion, begin, end)
     if turned is not None:
         return (
@@ -289,28 +290,28 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
         )
     if float(np.median(_speed_changes(motion, begin, end))) < EVEN_SLIP:
         return "between its sticks the mass moves at a constant speed, and a spring would accelerate it"
-    rested = len(seen) - len(cut.used)
-    return f"the mass stands still in {rested} of {len(seen)} supposed slips" if 2 * rested >= len(seen) else ""
+    rested = len(cycles) - len(cut.used)
+    return f"the mass stands still in {rested} of {len(cycles)} supposed slips" if 2 * rested >= len(cycles) else ""
 
 
 def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return why no law can describe the runs, from rough fits of a few cycles; "" once one law fits."""
+    """Return why no law can describe the runs, from rough fits of a few cycles; "" if a law fits."""
     if not sustained and all(not run.cut.starts_at_rest and _is_sine(run.motion) for run in runs):
         return SINE_ALONE
-    few = [replace(run, cut=replace(run.cut, cycles=_spread_out(run.cut.used))) for run in runs]
-    longest = max(_slip_length(run.motion, run.cut) for run in few)
+    screened_runs = [replace(run, cut=replace(run.cut, cycles=_select_cycles(run.cut.used))) for run in runs]
+    longest = max(_slip_length(run.motion, run.cut) for run in screened_runs)
     for law in map(SIX.__getitem__, SCREENING_ORDER):
         if law in laws or (law.kind.curve == "constant" and not sustained):
-            task = law_task(law, few)
-            fit = first_pass(task, regressed_start(task))
+            task = law_task(law, screened_runs)
+            fit = first_pass(task, start_from_regression(task))
             if fit is not None and fit.misfit < WORST_ERROR * longest:
                 return ""
     return NONE_NEAR
 
 
-def _spread_out(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    places = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
-    return tuple(cycles[place] for place in places)
+def _select_cycles(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
+    indices = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
+    return tuple(cycles[index] for index in indices)
 
 
 def list_near(fits: Sequence[Fit], runs: Sequence[Run]) -> list[Fit]:
@@ -332,7 +333,7 @@ def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: boo
     return ""
 
 
-def _of_motion(motion: MeasuredMotion) -> str:
+def _reject_by_motion(motion: MeasuredMotion) -> str:
     v = motion.velocity
     if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
         return "nothing moves beyond the noise" if motion.travel else "nothing moves"
@@ -385,7 +386,7 @@ def _sine_residual(motion: MeasuredMotion) -> float:
 
 
 def dies_away(velocity: Array) -> bool:
-    first, _, last = (float(np.max(np.abs(part))) for part in np.array_split(velocity, 3))
+    first, _, last = (float(np.max(np.abs(third))) for third in np.array_split(velocity, 3))
     return last < DIES_AWAY * first
 
 

@@ -5,10 +5,10 @@ over the shared unknowns u (p of them, within bounds) and the q unknowns l_c of 
 normal equations are q x q, so the cost grows with the number of cycles, not with its cube.
 
 The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other).
-So each step is bent: the second derivative of the residuals along it, one evaluation more, gives the acceleration with
-which a geodesic would follow the floor (Transtrum & Sethna, arXiv:1201.5885).  Where a step fails because of a few
-cycles, their own unknowns are fitted anew beside the shared ones that the step leads to.  Where the valley bends more
-than the acceleration says, a step may be led back across it by the derivatives at hand.
+So each step has an acceleration: the second derivative of the residuals along the step, from one more evaluation, gives
+the acceleration of a geodesic along the floor (Transtrum & Sethna, arXiv:1201.5885).  If a step fails because of a few
+cycles, their own unknowns are fitted again with the shared unknowns of the step.  If the valley bends more than the
+acceleration predicts, the trial point may be corrected with the derivatives already computed.
 """
 
 import math
@@ -36,18 +36,18 @@ from fitting.least_squares.normal_equations import (
 )
 from stickslip.compute.arrays import Array
 
-# Chosen by trial; the objective does not depend on them.
-FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
-CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
-PROBE_STEP = 0.1  # share of the step: where the second derivative along it is measured
-CORRECTION_DAMPING = 1e-6  # of a step back onto the floor of a valley: with less it moves along the valley too
-CORRECTED_GAIN = 1e-4  # gain over the cost, of a step that was led back: with less a shorter one may gain more
+# Chosen by trial; the minimum does not depend on them.
+FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # over the curvatures; factors after success, failure
+CAUTIOUS_CUT = 3.0  # factor after a step that was accepted only with more damping
+PROBE_STEP = 0.1  # finite-difference step of the second derivative, over the step
+CORRECTION_DAMPING = 1e-6  # damping of a correction across a valley: with less it also moves along the valley
+CORRECTED_GAIN = 1e-4  # smallest gain over the cost of a corrected step: with less a shorter step may gain more
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
-LEAST_CHANGE = 1e-12  # change over the cost: less is rounding
-FAILED_SHARE = 0.1  # share of the rise of the cost where a step fails: a cycle with more is fitted anew
-ANEW: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # how failed cycles are fitted anew
-ROUNDED = 1e-13  # eigenvalue over the largest: weaker directions are rounding
-LARGEST_ACCELERATION = 0.75  # twice the acceleration over the step: with more the step is too long
+LEAST_CHANGE = 1e-12  # change over the cost, below which it is rounding
+FAILED_SHARE = 0.1  # share in the rise of the cost of a failed step, above which a cycle is fitted again
+CYCLE_REFIT: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # how failed cycles are fitted anew
+ROUNDED = 1e-13  # eigenvalue over the largest, below which a direction is rounding
+LARGEST_ACCELERATION = 0.75  # twice the acceleration over the step, above which the step is too long
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class Solution:
     residual: Array  # (N,)
     blocks: NormalEquations  # at the solution
     outcome: str  # "converged", "step limit", "no progress", or "no flow": the start could not be followed
-    steps: int  # derivatives taken
+    steps: int  # number of evaluations of derivatives
 
 
 class Step(NamedTuple):
@@ -96,69 +96,70 @@ def minimise(
     steady: float = math.inf,
     corrections: int = 0,
 ) -> Solution | None:
-    """Minimise from u (p,) and local (cycles, q); None where the start cannot be followed.
+    """Minimise from u (p,) and local (cycles, q); None if the motion at the start cannot be followed.
 
-    ``tolerance`` is the gain of a step, relative or absolute, that ends the search when met twice in a row, unless the
-    weighted rms changes by more than ``steady`` of itself; ``corrections`` limits how often a step is led back.
+    The search ends if the gain, relative or absolute, of two successive steps is below ``tolerance``, unless the
+    weighted rms changes by more than ``steady`` of itself; ``corrections`` is the number of corrections of a failed
+    step.
     """
     u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
-    at = linearise(problem, u, local)
-    if at is None:
+    point = linearise(problem, u, local)
+    if point is None:
         return None
-    calm, outcome, steps = 0, "step limit", 1
+    small_steps, outcome, steps = 0, "step limit", 1
     while steps < max_steps:
         trial, refused = None, 0
         while damping < LARGEST_DAMPING:
-            trial = _trial(problem, at, damping, corrections)
-            if trial is not None and trial.cost - at.cost < LEAST_CHANGE * at.cost:
+            trial = _try_step(problem, point, damping, corrections)
+            if trial is not None and trial.cost - point.cost < LEAST_CHANGE * point.cost:
                 break
             refused += 1
             damping *= DAMPING_RISE
-        if trial is None or trial.cost >= at.cost:
+        if trial is None or trial.cost >= point.cost:
             outcome = "converged" if damping < LARGEST_DAMPING else "no progress"
             break
         damping = max(damping / (CAUTIOUS_CUT if refused else DAMPING_CUT), LEAST_DAMPING)
-        gain = at.cost - trial.cost
+        gain = point.cost - trial.cost
         steps += 1
-        there = linearise(problem, trial.u, trial.local)
-        if there is None:  # the point itself can be followed, one of its neighbours cannot
-            at, outcome = at._replace(u=trial.u, local=trial.local, cost=trial.cost), "no progress"
+        next_point = linearise(problem, trial.u, trial.local)
+        if next_point is None:  # the motion can be followed at the point, but not its derivatives
+            point, outcome = point._replace(u=trial.u, local=trial.local, cost=trial.cost), "no progress"
             break
-        before, at = at, there
-        small = gain < tolerance * at.cost or gain < tolerance
+        before, point = point, next_point
+        small = gain < tolerance * point.cost or gain < tolerance
         if small and steady < math.inf:
-            small = abs(_rms(problem, before) - _rms(problem, at)) < steady * _rms(problem, at)
-        calm = calm + 1 if small else 0
-        if calm >= 2:
+            small = abs(_rms(problem, before) - _rms(problem, point)) < steady * _rms(problem, point)
+        small_steps = small_steps + 1 if small else 0
+        if small_steps >= 2:
             outcome = "converged"
             break
-    return Solution(at.u, at.local, at.cost, at.residual, at.blocks, outcome, steps)
+    return Solution(point.u, point.local, point.cost, point.residual, point.blocks, outcome, steps)
 
 
-def last_step(problem: LeastSquaresProblem, near: Solution) -> Solution | None:
-    """Return the end of one step from a similar problem's solution; None where it cannot be followed."""
-    at = linearise(problem, near.u, near.local)
-    if at is None:
+def take_last_step(problem: LeastSquaresProblem, solution: Solution) -> Solution | None:
+    """Return the solution after one step from that of a similar problem; None if it cannot be followed."""
+    point = linearise(problem, solution.u, solution.local)
+    if point is None:
         return None
-    trial = _trial(problem, at, LEAST_DAMPING)
-    if trial is None or trial.cost >= at.cost:
-        return replace(near, cost=at.cost, residual=at.residual, blocks=at.blocks)
-    found = problem.evaluate(trial.u, trial.local, False)
-    blocks = at.blocks.moved(trial.u - at.u, trial.local - at.local)
-    residual = at.residual if found is None else found[0]
-    return replace(near, u=trial.u, local=trial.local, cost=trial.cost, residual=residual, blocks=blocks)
+    trial = _try_step(problem, point, LEAST_DAMPING)
+    if trial is None or trial.cost >= point.cost:
+        return replace(solution, cost=point.cost, residual=point.residual, blocks=point.blocks)
+    evaluation = problem.evaluate(trial.u, trial.local, False)
+    blocks = point.blocks.shift(trial.u - point.u, trial.local - point.local)
+    residual = point.residual if evaluation is None else evaluation[0]
+    return replace(solution, u=trial.u, local=trial.local, cost=trial.cost, residual=residual, blocks=blocks)
 
 
-def _rms(problem: LeastSquaresProblem, at: Point) -> float:
-    return math.sqrt(float(np.sum(problem.weights * np.add.reduceat(at.residual**2, problem.starts))))
+def _rms(problem: LeastSquaresProblem, point: Point) -> float:
+    return math.sqrt(float(np.sum(problem.weights * np.add.reduceat(point.residual**2, problem.starts))))
 
 
 def linearise(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:
-    found = problem.evaluate(u, local, True)
-    residual, derivatives = found or (None, None)
+    evaluation = problem.evaluate(u, local, True)
+    residual, derivatives = evaluation or (None, None)
     if residual is None or derivatives is None:
         return None
-    with np.errstate(over="ignore", invalid="ignore"):  # derivatives too large for a number are none
+    with np.errstate(over="ignore", invalid="ignore"):  # derivatives that overflow are rejected below
         try:
             blocks = normal_equations(problem.first, problem.weights, residual, derivatives, priors(problem, u, local))
         except UnfollowableError:
@@ -169,86 +170,86 @@ def linearise(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | N
     return Point(u, local, residual, derivatives, cost(problem, u, local, residual), blocks)
 
 
-def _trial(problem: LeastSquaresProblem, at: Point, damping: float, corrections: int = 0) -> Trial | None:
-    """Return the end of a step; None where it cannot be followed, or the second order no longer holds."""
-    step = _accelerated_step(problem, at, damping)
+def _try_step(problem: LeastSquaresProblem, point: Point, damping: float, corrections: int = 0) -> Trial | None:
+    """Return the point after a step; None if it cannot be followed, or if the second order is not valid."""
+    step = _accelerated_step(problem, point, damping)
     if step is None:
         return None
-    u = np.clip(at.u + step.u, problem.lower, problem.upper)
-    local = np.minimum(at.local + step.local, problem.local_upper)
-    found = problem.evaluate(u, local, False)
-    if found is None:
+    u = np.clip(point.u + step.u, problem.lower, problem.upper)
+    local = np.minimum(point.local + step.local, problem.local_upper)
+    evaluation = problem.evaluate(u, local, False)
+    if evaluation is None:
         return None
-    trial, residual = Trial(u, local, cost(problem, u, local, found[0])), found[0]
+    trial, residual = Trial(u, local, cost(problem, u, local, evaluation[0])), evaluation[0]
     led_back = trial, residual
-    for _ in range(corrections if trial.cost >= at.cost else 0):
-        corrected = _corrected(problem, at, *led_back)
+    for _ in range(corrections if trial.cost >= point.cost else 0):
+        corrected = _lead_back(problem, point, *led_back)
         if corrected is None or corrected[0].cost >= led_back[0].cost:
             break
         led_back = corrected
-        if led_back[0].cost < (1 - CORRECTED_GAIN) * at.cost:
+        if led_back[0].cost < (1 - CORRECTED_GAIN) * point.cost:
             trial, residual = led_back
             break
-    failed = trial.cost - at.cost >= LEAST_CHANGE * at.cost
-    return _with_failed_cycles_anew(problem, at, trial, residual) if failed else trial
+    failed = trial.cost - point.cost >= LEAST_CHANGE * point.cost
+    return _refit_failed_cycles(problem, point, trial, residual) if failed else trial
 
 
-def _corrected(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
-    """Return the trial led back across the valley by the derivatives at hand, and its residuals."""
-    p = at.u.size
-    gradient = sum_gradients(problem.first, residual * problem.weight, at.derivatives, p + trial.local.shape[1])
+def _lead_back(problem: LeastSquaresProblem, point: Point, trial: Trial, residual: Array) -> tuple[Trial, Array] | None:
+    """Return the trial corrected across the valley with the derivatives at the last point, and its residuals."""
+    p = point.u.size
+    gradient = sum_gradients(problem.first, residual * problem.weight, point.derivatives, p + trial.local.shape[1])
     g = gradient[:, :p].sum(axis=0) + problem.precision * (trial.u - problem.prior)
     gl = gradient[:, p:] + problem.local_precision * (trial.local - problem.local_prior)
-    damped = SchurComplement(at.blocks, CORRECTION_DAMPING, (trial.local >= problem.local_upper) & (gl < 0))
+    damped = SchurComplement(point.blocks, CORRECTION_DAMPING, (trial.local >= problem.local_upper) & (gl < 0))
     step = _step(problem, trial.u, damped, g, gl)
     u = np.clip(trial.u + step.u, problem.lower, problem.upper)
     local = np.minimum(trial.local + step.local, problem.local_upper)
-    found = problem.evaluate(u, local, False)
-    return None if found is None else (Trial(u, local, cost(problem, u, local, found[0])), found[0])
+    evaluation = problem.evaluate(u, local, False)
+    return None if evaluation is None else (Trial(u, local, cost(problem, u, local, evaluation[0])), evaluation[0])
 
 
-def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> Trial:
-    """Return a failed step with the own unknowns of the few cycles that made it fail fitted again."""
+def _refit_failed_cycles(problem: LeastSquaresProblem, point: Point, trial: Trial, residual: Array) -> Trial:
+    """Return a failed step after fitting again the own unknowns of the few cycles that made it fail."""
     by_cycle = cost_by_cycle(problem, trial.local, residual)
-    rise = by_cycle - cost_by_cycle(problem, at.local, at.residual)
+    rise = by_cycle - cost_by_cycle(problem, point.local, point.residual)
     cycles = np.flatnonzero(rise > FAILED_SHARE * np.sum(np.maximum(rise, 0.0)))
-    part = problem.of_cycles(trial.u, cycles)
-    if part is None:
+    failed_cycles = problem.of_cycles(trial.u, cycles)
+    if failed_cycles is None:
         return trial
-    begin, held = trial.local[cycles], at.local[cycles]
-    stayed = part.evaluate(part.prior, held, False)
-    if stayed is not None:
-        cheaper = cost_by_cycle(part, held, stayed[0]) < by_cycle[cycles]
-        begin = np.where(cheaper[:, None], held, begin)
-    found = minimise(part, part.prior, begin, **ANEW)
-    if found is None:
+    begin, unmoved = trial.local[cycles], point.local[cycles]
+    unmoved_evaluation = failed_cycles.evaluate(failed_cycles.prior, unmoved, False)
+    if unmoved_evaluation is not None:
+        cheaper = cost_by_cycle(failed_cycles, unmoved, unmoved_evaluation[0]) < by_cycle[cycles]
+        begin = np.where(cheaper[:, None], unmoved, begin)
+    refit = minimise(failed_cycles, failed_cycles.prior, begin, **CYCLE_REFIT)
+    if refit is None:
         return trial
     local = trial.local.copy()
-    local[cycles] = found.local
-    return Trial(trial.u, local, trial.cost - float(by_cycle[cycles].sum()) + found.cost)
+    local[cycles] = refit.local
+    return Trial(trial.u, local, trial.cost - float(by_cycle[cycles].sum()) + refit.cost)
 
 
-def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -> Step | None:
-    """Return the damped step with its acceleration; None where it exceeds the reach of the second order."""
-    p = at.u.size
-    damped = SchurComplement(at.blocks, damping, (at.local >= problem.local_upper) & (at.blocks.gl < 0))
-    step = _step(problem, at.u, damped, at.blocks.g, at.blocks.gl)
-    beside = np.minimum(at.local + PROBE_STEP * step.local, problem.local_upper)
-    near = problem.evaluate(at.u + PROBE_STEP * step.u, beside, False)
-    if near is None:
+def _accelerated_step(problem: LeastSquaresProblem, point: Point, damping: float) -> Step | None:
+    """Return the damped step with its acceleration; None if it is too long for the second order."""
+    p = point.u.size
+    damped = SchurComplement(point.blocks, damping, (point.local >= problem.local_upper) & (point.blocks.gl < 0))
+    step = _step(problem, point.u, damped, point.blocks.g, point.blocks.gl)
+    probe_local = np.minimum(point.local + PROBE_STEP * step.local, problem.local_upper)
+    probe = problem.evaluate(point.u + PROBE_STEP * step.u, probe_local, False)
+    if probe is None:
         return None
-    both = np.hstack([np.tile(step.u, (at.local.shape[0], 1)), step.local])
-    gradient = np.zeros_like(both)
-    for block, part in at.derivatives:
-        own, rows, begin = block.cycles, block.rows, first_rows(problem.first, block)
-        straight = np.empty(begin[-1])
-        kernel(elimination.along)(part, begin, both[own], straight)
-        bend = ((near[0][rows] - at.residual[rows]) / PROBE_STEP - straight) * (2 / PROBE_STEP)
-        push = bend * problem.weights[own].repeat(np.diff(begin))
-        kernel(elimination.sum_gradients)(part, push, begin, gradient[own])
-    turn = _step(problem, at.u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])
-    scale, local_scale = np.diag(at.blocks.H), np.einsum("cii->ci", at.blocks.Hl)
-    with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
+    steps = np.hstack([np.tile(step.u, (point.local.shape[0], 1)), step.local])
+    gradient = np.zeros_like(steps)
+    for block, jacobian in point.derivatives:
+        cycles, rows, begin = block.cycles, block.rows, first_rows(problem.first, block)
+        linear_change = np.empty(begin[-1])
+        kernel(elimination.along)(jacobian, begin, steps[cycles], linear_change)
+        bend = ((probe[0][rows] - point.residual[rows]) / PROBE_STEP - linear_change) * (2 / PROBE_STEP)
+        force = bend * problem.weights[cycles].repeat(np.diff(begin))
+        kernel(elimination.sum_gradients)(jacobian, force, begin, gradient[cycles])
+    turn = _step(problem, point.u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])
+    scale, local_scale = np.diag(point.blocks.H), np.einsum("cii->ci", point.blocks.Hl)
+    with np.errstate(over="ignore", invalid="ignore"):  # an acceleration that overflows is too large
         length = float(np.sum(scale * step.u**2) + np.sum(local_scale * step.local**2))
         turned = float(np.sum(scale * turn.u**2) + np.sum(local_scale * turn.local**2))
     if not turned <= LARGEST_ACCELERATION**2 * length < math.inf:
@@ -257,7 +258,7 @@ def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -
 
 
 def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Array, gl: Array) -> Step:
-    """Return the step down the gradients; unknowns that would cross a bound move onto it, and the others step anew."""
+    """Return the step down the gradients; unknowns that cross a bound move to it, and the others are solved again."""
     pull = damped.local_step(gl)
     g = damped.reduced_gradient(g, pull)
     step = np.zeros_like(u)
@@ -265,21 +266,21 @@ def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Ar
     while free.any():
         slope = g + np.einsum("ij,j->i", damped.H[:, ~free], step[~free])
         step[free] = _solve(damped.H[np.ix_(free, free)], -slope[free])
-        kept = np.clip(u + step, problem.lower, problem.upper) - u
-        crossing = free & (kept != (u + step) - u)
+        bounded = np.clip(u + step, problem.lower, problem.upper) - u
+        crossing = free & (bounded != (u + step) - u)
         if not crossing.any():
             break
-        step[crossing] = kept[crossing]
+        step[crossing] = bounded[crossing]
         free &= ~crossing
     step = np.clip(u + step, problem.lower, problem.upper) - u
     return Step(step, damped.back_substitute(step, pull))
 
 
 def _solve(H: Array, target: Array) -> Array:
-    """Return x of H x = target, H (n, n) positive semidefinite; directions below rounding fade out."""
+    """Return x of H x = target, H (n, n) positive semidefinite; directions below rounding are damped."""
     curvature = np.diag(H)
-    held = curvature > 0
-    scale = np.where(held, 1 / np.sqrt(np.where(held, curvature, 1.0)), 0.0)
+    curved = curvature > 0
+    scale = np.where(curved, 1 / np.sqrt(np.where(curved, curvature, 1.0)), 0.0)
     size, axes = eigen(H * scale[:, None] * scale)
     size = np.maximum(size, 0.0)
     rounded = ROUNDED * max(float(size.max()), 1.0)

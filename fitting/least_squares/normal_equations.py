@@ -1,4 +1,4 @@
-"""A least-squares problem of unknowns that all cycles share and of each cycle's own, and its normal equations.
+"""A least-squares problem with unknowns shared by all cycles and unknowns of each cycle; its normal equations.
 
 The cycles' own unknowns are eliminated from these (Schur complement), in plain loops
 (`fitting.least_squares.elimination`).
@@ -18,10 +18,10 @@ from fitting.least_squares import elimination
 from stickslip.compute.arrays import Array, Integers, Mask, end_to_end
 from stickslip.compute.compile import compiled
 
-# Residuals (N,) m and, when asked for, their derivatives; None when the flow cannot be followed there.
+# Residuals (N,), m, and their derivatives if requested; None if the motion cannot be followed.
 Evaluate = Callable[[Array, Array, bool], "tuple[Array, Derivatives | None] | None"]
-MOST_AT_ONCE = 30_000  # residuals whose derivatives or repetitions are made at a time: some 20 MB
-MOST_KEPT = 8_000_000  # derivatives kept: 64 MB; others are made anew each time
+MOST_AT_ONCE = 30_000  # residuals whose derivatives or repetitions are computed at a time: about 20 MB
+MOST_KEPT = 8_000_000  # derivatives that are stored: 64 MB; others are computed again
 
 
 class Block(NamedTuple):
@@ -32,14 +32,14 @@ class Block(NamedTuple):
 
 
 def blocks_of(rows: Sequence[slice]) -> tuple[Block, ...]:
-    stop = np.array([own.stop for own in rows])
+    stop = np.array([rows_of_cycle.stop for rows_of_cycle in rows])
     edges = [0, *(np.flatnonzero(np.diff((stop - 1) // MOST_AT_ONCE)) + 1).tolist(), stop.size]
     return tuple(Block(slice(a, b), slice(rows[a].start, rows[b - 1].stop)) for a, b in pairwise(edges))
 
 
 def first_of(rows: Sequence[slice]) -> Integers:
     """Return the first residual of each cycle, and their number, shape (cycles + 1,)."""
-    return np.array([*(own.start for own in rows), rows[-1].stop], np.int64)
+    return np.array([*(rows_of_cycle.start for rows_of_cycle in rows), rows[-1].stop], np.int64)
 
 
 class Derivatives:
@@ -47,33 +47,33 @@ class Derivatives:
 
     def __init__(self, blocks: Sequence[Block], derive: "Callable[[Block], Array | None]") -> None:
         self.blocks, self.derive = blocks, derive
-        self._kept: dict[int, Array] = {}
+        self._stored: dict[int, Array] = {}
         self._room = MOST_KEPT
 
     def __iter__(self) -> Iterator[tuple[Block, Array]]:
         for number, block in enumerate(self.blocks):
-            part = self._kept.get(number)
-            if part is None:
-                part = self.derive(block)
-                if part is None:
+            jacobian = self._stored.get(number)
+            if jacobian is None:
+                jacobian = self.derive(block)
+                if jacobian is None:
                     raise UnfollowableError
-                if part.size <= self._room:
-                    self._kept[number] = part
-                    self._room -= part.size
-            yield block, part
+                if jacobian.size <= self._room:
+                    self._stored[number] = jacobian
+                    self._room -= jacobian.size
+            yield block, jacobian
 
     def columns(self, unknowns: slice = slice(None)) -> Array:
-        return np.concatenate([part[:, unknowns] for _, part in self])
+        return np.concatenate([jacobian[:, unknowns] for _, jacobian in self])
 
-    def changed(self, change: Callable[[Array], Array]) -> "Derivatives":
+    def transform(self, change: Callable[[Array], Array]) -> "Derivatives":
         return Derivatives(self.blocks, partial(_change_part, self.derive, change))
 
 
 def _change_part(
     derive: Callable[[Block], Array | None], change: Callable[[Array], Array], block: Block
 ) -> Array | None:
-    part = derive(block)
-    return None if part is None else change(part)
+    jacobian = derive(block)
+    return None if jacobian is None else change(jacobian)
 
 
 class UnfollowableError(ArithmeticError):
@@ -92,16 +92,16 @@ class LeastSquaresProblem:
     local_prior: Array  # (cycles, q) the same for the cycles' own unknowns
     local_precision: Array
     local_upper: Array | float = math.inf  # (cycles, q) of the cycles' own unknowns
-    # ``some(u, cycles)`` returns ``evaluate(nothing, l, derivatives)`` of these cycles alone, u held
-    some: Callable[[Array, Integers], Evaluate] | None = None
+    # ``evaluate_cycles(u, cycles)`` returns ``evaluate(nothing, l, derivatives)`` of these cycles alone, u held
+    evaluate_cycles: Callable[[Array, Integers], Evaluate] | None = None
 
     def of_cycles(self, u: Array, cycles: Integers) -> "LeastSquaresProblem | None":
-        """Return the problem of these cycles alone, u held; None of no cycles, or without ``some``."""
-        if self.some is None or not cycles.size:
+        """Return the problem of these cycles alone, u held; None of no cycles, or without ``evaluate_cycles``."""
+        if self.evaluate_cycles is None or not cycles.size:
             return None
         nothing = np.empty(0)
         return LeastSquaresProblem(
-            evaluate=self.some(u, cycles),
+            evaluate=self.evaluate_cycles(u, cycles),
             rows=end_to_end([self.rows[k] for k in cycles]),
             weights=self.weights[cycles],
             lower=nothing,
@@ -132,13 +132,13 @@ def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) 
 
 
 def cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
-    own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
-    own += problem.weights * np.add.reduceat(residual**2, problem.starts)
-    return np.asarray(0.5 * own)
+    costs = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
+    costs += problem.weights * np.add.reduceat(residual**2, problem.starts)
+    return np.asarray(0.5 * costs)
 
 
-HELD_CURVATURE = 1e12  # curvature over its own, of an unknown that does not move
-ROUNDING = 1e-14  # what elimination leaves of a curvature, over it: as little is rounding
+HELD_CURVATURE = 1e12  # added to the curvature of an unknown that must not move, over it
+ROUNDING = 1e-14  # curvature after elimination over that before, below which it is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,14 +153,14 @@ class NormalEquations:
     cycle_g: Array  # (c, p): each cycle's share of g, without the priors of u
     cycle_curvature: Array  # (c, p, p): each cycle's share of H, likewise
 
-    def moved(self, step: Array, own: Array) -> "NormalEquations":
-        """Return the same after steps (p,) and (c, q), with the same curvatures."""
-        by_own = np.einsum("cpq,cq->cp", self.cross, own)
+    def shift(self, step: Array, local_step: Array) -> "NormalEquations":
+        """Return the equations after steps (p,) and (c, q), with the same curvatures."""
+        by_local = np.einsum("cpq,cq->cp", self.cross, local_step)
         return replace(
             self,
-            g=self.g + np.einsum("ij,j->i", self.H, step) + by_own.sum(axis=0),
-            gl=self.gl + np.einsum("cij,cj->ci", self.Hl, own) + np.einsum("cpq,p->cq", self.cross, step),
-            cycle_g=self.cycle_g + np.einsum("cij,j->ci", self.cycle_curvature, step) + by_own,
+            g=self.g + np.einsum("ij,j->i", self.H, step) + by_local.sum(axis=0),
+            gl=self.gl + np.einsum("cij,cj->ci", self.Hl, local_step) + np.einsum("cpq,p->cq", self.cross, step),
+            cycle_g=self.cycle_g + np.einsum("cij,j->ci", self.cycle_curvature, step) + by_local,
         )
 
 
@@ -188,9 +188,9 @@ def normal_equations(
     """Sum residuals (N,) and their derivatives over cycles that begin at ``first`` (c + 1,)."""
     p, (c, q) = priors.gradient.size, priors.local_gradient.shape
     square, gradient = np.zeros((c, p + q, p + q)), np.zeros((c, p + q))
-    for block, part in derivatives:
-        own, begin = block.cycles, first_rows(first, block)
-        kernel(elimination.sum_products)(part, residual[block.rows], begin, square[own], gradient[own])
+    for block, jacobian in derivatives:
+        cycles, begin = block.cycles, first_rows(first, block)
+        kernel(elimination.sum_products)(jacobian, residual[block.rows], begin, square[cycles], gradient[cycles])
     square *= weights[:, None, None]
     gradient *= weights[:, None]
     return NormalEquations(
@@ -205,12 +205,12 @@ def normal_equations(
 
 
 class SchurComplement:
-    """The normal equations with the cycles' own unknowns eliminated; ``held`` (cycles, q) ones do not move."""
+    """The normal equations with the cycles' unknowns eliminated; ``bounded`` (cycles, q) ones do not move."""
 
-    def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:
+    def __init__(self, blocks: NormalEquations, damping: float = 0.0, bounded: Mask | None = None) -> None:
         c, q = blocks.gl.shape
         p = blocks.g.size
-        raised = damping if held is None else np.where(held, HELD_CURVATURE, damping)
+        raised = damping if bounded is None else np.where(bounded, HELD_CURVATURE, damping)
         Hl = blocks.Hl + (raised * np.einsum("cii->ci", blocks.Hl))[:, :, None] * np.eye(q)
         self._cross, self._raw = blocks.cross, np.diag(blocks.H)
         self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
@@ -228,8 +228,8 @@ class SchurComplement:
     def _step_inverse(self) -> Array:
         """The inverse (p, p) without directions that are lost in rounding: a step along them is random."""
         scale, size, axes = scaled_axes(self.H, self._raw)
-        lost = ROUNDING * np.sum(np.abs(axes) * (np.sqrt(self._raw) * scale)[:, None], axis=0) ** 2
-        half = axes * scale[:, None] / np.sqrt(np.where(size > lost, size, np.inf))
+        rounding = ROUNDING * np.sum(np.abs(axes) * (np.sqrt(self._raw) * scale)[:, None], axis=0) ** 2
+        half = axes * scale[:, None] / np.sqrt(np.where(size > rounding, size, np.inf))
         return np.asarray(np.einsum("ik,jk->ij", half, half))
 
     def by_cycle(self, cycle_curvature: Array) -> Array:
@@ -271,13 +271,13 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
 def scaled_axes(H: Array, raw: Array) -> tuple[Array, Array, Array]:
     """Return units (p,) from the curvatures ``raw`` before elimination, and H's eigenvalues and axes in these units."""
     scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
-    return scale, *eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
+    return scale, *eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not look like information
 
 
 def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
     """Return units (p,), and H's inverse in these units.
 
-    A direction below rounding gets a prior's variance: it must not pass for a known one.
+    A direction below rounding gets the variance of a prior, so that it does not look constrained.
     """
     scale, size, axes = scaled_axes(H, raw)
     half = axes / np.sqrt(np.maximum(size, 1e-15))
@@ -287,8 +287,8 @@ def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
 def sum_gradients(first: Integers, residual: Array, derivatives: Derivatives, width: int) -> Array:
     """Return J'r of each cycle, (c, width), for residuals (N,)."""
     out = np.zeros((first.size - 1, width))
-    for block, part in derivatives:
-        kernel(elimination.sum_gradients)(part, residual[block.rows], first_rows(first, block), out[block.cycles])
+    for block, jacobian in derivatives:
+        kernel(elimination.sum_gradients)(jacobian, residual[block.rows], first_rows(first, block), out[block.cycles])
     return out
 
 

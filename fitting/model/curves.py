@@ -1,11 +1,11 @@
-"""The friction of a fit: one of the six laws, or a curve followed through a spline.
+"""The friction of a fit: one of the six laws, or a curve given by a spline.
 
-A curve has ``size`` parameters theta, with bounds and priors; ``beside`` are the shared unknowns fitted with it.
+A curve has ``size`` parameters theta, with bounds and priors; ``shared`` are the shared unknowns fitted with it.
 
-A free curve's theta are second differences of its coefficients and the two ends: in them its prior, a second
-difference of the order of half the friction, is independent, and Levenberg-Marquardt needs no other form of a prior.
-The data determine K datum + friction only, so these are coordinates of a curve that follows the datum: a datum's
-remaining effect is then a small number, not the difference of two large ones.
+A free curve's theta are the second differences of its coefficients, and its two ends.  In these coordinates the prior,
+a second difference of the order of half the friction, is independent for each, as Levenberg-Marquardt needs it.  The
+data determine only K datum + friction, so the curve is defined relative to the datum: the remaining effect of the datum
+is then a small number, not the difference of two large ones.
 """
 
 from abc import ABC, abstractmethod
@@ -27,12 +27,12 @@ BEND_SD = 0.5  # standard deviation of a second difference, over the middle coef
 
 @dataclass(frozen=True, eq=False)
 class CurveCoordinates:
-    """The map from n - 2 second differences and two end coefficients, each over its size, to coefficients."""
+    """The map from n - 2 second differences and two end coefficients, in units of their sizes, to coefficients."""
 
     matrix: Array  # (n, n) coefficients (m/s^2) by coordinates
     inverse: Array  # (n, n) coordinates by coefficients
     precision: Array  # (n,) of the coordinates' priors: 1, and 0 for the ends
-    offset: Array  # (p,) how the whole curve moves with each of the unknowns beside it, and where these are at offset 0
+    offset: Array  # (p,) how the whole curve moves with each of the shared unknowns, and their values at offset 0
     start: Array
 
     @classmethod
@@ -57,21 +57,21 @@ class CurveCoordinates:
         """Derivatives (n, p + n) of the coefficients by the unknowns outside the curve, then its coordinates."""
         return np.hstack([np.broadcast_to(self.offset, (self.precision.size, self.offset.size)), self.matrix])
 
-    def coefficients(self, beside: Array, theta: Array) -> Array:
-        moved = float(np.sum(self.offset * (beside - self.start)))
-        return np.asarray(np.einsum("ij,j->i", self.matrix, theta) + moved)
+    def coefficients(self, shared: Array, theta: Array) -> Array:
+        shift = float(np.sum(self.offset * (shared - self.start)))
+        return np.asarray(np.einsum("ij,j->i", self.matrix, theta) + shift)
 
-    def unknowns(self, beside: Array, coefficients: Array) -> Array:
-        """Return all unknowns (p + n,) from those beside the curve and its coefficients."""
-        moved = float(np.sum(self.offset * (beside - self.start)))
-        return np.concatenate((beside, np.einsum("ij,j->i", self.inverse, coefficients - moved)))
+    def unknowns(self, shared: Array, coefficients: Array) -> Array:
+        """Return all unknowns (p + n,) from the shared ones and the curve's coefficients."""
+        shift = float(np.sum(self.offset * (shared - self.start)))
+        return np.concatenate((shared, np.einsum("ij,j->i", self.inverse, coefficients - shift)))
 
 
 class FrictionCurve(ABC):
     law: Law | None = None  # none of a free curve
     free: tuple[str, ...] = ()  # the names of theta
     by_log: Array = np.empty(0)  # which of them are fitted by their logarithm
-    together: tuple[Undetermined, ...] = ()  # parameters that a formula has only together
+    together: tuple[Undetermined, ...] = ()  # groups of confounded parameters of a formula
     kind = ""  # "constant", "linear", "hyperbolic" of the six that their own kernels follow
     model: "type | None" = None  # that of `fitting.model.predict` which predicts its positions; None for `Model`
     ramp: bool  # whether slip begins beyond a ramp of half-width d, a shared unknown
@@ -84,7 +84,7 @@ class FrictionCurve(ABC):
     upper: Array
 
     @abstractmethod
-    def on_path(self, theta: Array, beside: Array) -> Curve | None:
+    def on_path(self, theta: Array, shared: Array) -> Curve | None:
         """Return the curve of a path; None where theta gives no friction."""
 
     @abstractmethod
@@ -92,7 +92,7 @@ class FrictionCurve(ABC):
         """Return the position derivatives (N, p + size) by the shared unknowns at ``places`` (p,), then by theta."""
 
     @abstractmethod
-    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+    def friction(self, u: Array, theta: Array, shared: Array, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,); ``u`` are the unknowns of all runs."""
 
     def values(self, theta: Array, u: Array) -> dict[str, float]:
@@ -100,7 +100,7 @@ class FrictionCurve(ABC):
         return {}
 
     def is_ramp_of(self, other: "FrictionCurve") -> bool:
-        """Return whether this is the other curve with a ramp, and so contains it."""
+        """Return whether this is the other curve with a ramp, so that the other is nested in it."""
         return self.law is not None and other.law is not None and self.law.is_ramp_of(other.law)
 
     def contains(self, other: "FrictionCurve") -> bool:
@@ -117,42 +117,42 @@ class LawCurve(FrictionCurve):
         self.law, self.ramp, self.kind, self.code = law, law.ramp, law.kind.curve, law.kind.curve_code
         self.start = self.prior = self.precision = self.lower = self.upper = np.empty(0)
 
-    def on_path(self, theta: Array, beside: Array) -> Curve:
+    def on_path(self, theta: Array, shared: Array) -> Curve:
         return Curve(self.code, self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
         return shared_tangents(path, places)
 
-    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+    def friction(self, u: Array, theta: Array, shared: Array, s: Array) -> Array:
         p = unknowns.values(u[:PER_RUN])
         return np.asarray(magnitude(self.code, s, p.F, p.shape * p.F, p.shape))
 
     def values(self, theta: Array, u: Array) -> dict[str, float]:
         p = unknowns.values(u[:PER_RUN])
-        found = {"Fs": p.F, "gamma": p.shape, "G_slip": p.shape * p.F}
-        return {name: found[name] for name in self.law.curve.parameters}
+        by_name = {"Fs": p.F, "gamma": p.shape, "G_slip": p.shape * p.F}
+        return {name: by_name[name] for name in self.law.curve.parameters}
 
 
 class FreeCurve(FrictionCurve):
     """A free spline of ``knots`` (n + 1,), m/s, and ``coefficients`` (n + 3,), m/s^2, in `CurveCoordinates`."""
 
-    def __init__(self, knots: Array, *, ramp: bool, coefficients: Array, offset: Array, beside: Array) -> None:
+    def __init__(self, knots: Array, *, ramp: bool, coefficients: Array, offset: Array, shared: Array) -> None:
         self.spline, self.ramp, self.size = FrictionSpline.over(knots), ramp, coefficients.size
-        self.basis = CurveCoordinates.around(coefficients, offset, beside)
+        self.basis = CurveCoordinates.around(coefficients, offset, shared)
         self.prior, self.precision = np.zeros(self.size), self.basis.precision
         self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
-        self.start = self.basis.unknowns(beside, coefficients)[beside.size :]
+        self.start = self.basis.unknowns(shared, coefficients)[shared.size :]
 
-    def on_path(self, theta: Array, beside: Array) -> Curve | None:
-        return spline_curve(self._at(theta, beside), self.ramp)
+    def on_path(self, theta: Array, shared: Array) -> Curve | None:
+        return spline_curve(self._at(theta, shared), self.ramp)
 
     def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
-        found = spline_tangents(path, self.basis.slopes)
-        found[:, : len(places)] += shared_tangents(path, places)
-        return found
+        derivatives = spline_tangents(path, self.basis.slopes)
+        derivatives[:, : len(places)] += shared_tangents(path, places)
+        return derivatives
 
-    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        return self._at(theta, beside)(s)
+    def friction(self, u: Array, theta: Array, shared: Array, s: Array) -> Array:
+        return self._at(theta, shared)(s)
 
-    def _at(self, theta: Array, beside: Array) -> FrictionSpline:
-        return self.spline.with_coefficients(self.basis.coefficients(beside, theta))
+    def _at(self, theta: Array, shared: Array) -> FrictionSpline:
+        return self.spline.with_coefficients(self.basis.coefficients(shared, theta))

@@ -1,4 +1,4 @@
-"""Kernels: the motion along the windows of a fit by the classical Runge-Kutta method, stored where tangents need it.
+"""Kernels: the motion along the windows of a fit by the classical Runge-Kutta method, and its points for tangents.
 
 The relative speed e = v_belt - x' is positive where the belt is faster; friction then pushes the mass along +x:
 
@@ -9,18 +9,18 @@ n is the curve of a law over F = Fs/m (a spline is its own curve per unit mass, 
 compliance F/K the speed that a compliant belt loses under the load F, which makes friction a function of the speed of
 the unloaded belt (`rig_sim.flow.modes`, droop).  Where a touch of the belt ends a step, n is continued to s < 0.
 
-A window is followed from its own start; friction is the cycle's level times the curve, less what the level has faded
-by.  A touch of the belt before ``earliest`` is no landing: the mass slips on as soon as the load exceeds its level, so
-the motion depends continuously on where the window starts.  From the landing on the next level holds, and there and in
-a window of stick the contact holds whatever the load: the next break-away lies in no window.  So a ramp contains its
-jump.  Where the mass was seen to overtake the belt it slips on forwards under the new level, until that stops it.
+Each window is integrated from its own start.  Friction is the cycle's level, which fades, times the curve.  A contact
+with the belt before ``earliest`` is not a landing: the mass slips again as soon as the load exceeds its level, so the
+motion depends continuously on the start of the window.  After the landing the next level applies.  There, and in a
+window of stick, the mass sticks whatever the load, since no window contains the next break-away.  So the jump is nested
+in its ramp.  If the mass overtakes the belt, it slips forwards under the new level until that stops it.
 
 A slip window that starts within a ramp contains the break-away: there the ramp ends at the break-away level, static
 times that of slip, at the half-width d.
 
-The motion is stepped, for any curve and any small force besides.  A step ends at every sample and every change of mode.
-It is short enough for the fastest rate of the motion.  A ramp is followed with next to no inertia (`CREEP`), in steps
-as long as those of a stick, once its transient has died out, or where that moves the mass by less than
+The integration works for any curve and any small additional force.  A step ends at every sample and every change of
+mode, and is short enough for the fastest rate of the motion.  On a ramp inertia is treated as small (`CREEP`), in steps
+as long as those of a stick, once the transient has died out, or if the transient moves the mass by less than
 `TRANSIENT_HIDDEN` of the spring's stretch.
 
 Every function runs as written or compiled (`stickslip.compute.compile`).
@@ -40,7 +40,7 @@ MOST_ITERATIONS = 30  # Newton steps on a compliant belt; it needs 3 to 5
 
 
 class Contact(NamedTuple):
-    """Friction of one run, as `friction` reads it.
+    """Friction of one run, for `friction`.
 
     ``curve`` is a code, F in m/s^2, ``shape`` in s/m, d and q in m/s; ``at_rest`` is n(0).  ``table`` is that of a
     spline of ``pieces`` cubics as in `rig_sim.friction.spline`, without its last two numbers.
@@ -61,9 +61,9 @@ def normal_curve(c: Contact, s: float) -> tuple[float, float]:
     """Return n(s) and its slope (s/m); a spline has a constant slope beyond its last knot."""
     if c.curve == SPLINE:
         i = piece_of(c.table, c.pieces, s)
-        z, at = s - c.table[i], c.pieces + 4 * i
-        c1, c2, c3 = c.table[at + 1], c.table[at + 2], c.table[at + 3]
-        return c.table[at] + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
+        z, first = s - c.table[i], c.pieces + 4 * i
+        c1, c2, c3 = c.table[first + 1], c.table[first + 2], c.table[first + 3]
+        return c.table[first] + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
     return magnitude(c.curve, s, 1.0, c.shape, c.shape), slope(c.curve, s, 1.0, c.shape, c.shape)
 
 
@@ -93,7 +93,7 @@ def friction(c: Contact, mode: int, e: float, level: float) -> tuple[float, floa
     return sign * level * c.F * n, level * c.F * rate / (1.0 + c.q * rate), s
 
 
-CREEP = 4  # a mode beside those of `rig_sim.flow.modes`: a steep ramp, its velocity that of balanced forces
+CREEP = 4  # a mode in addition to `rig_sim.flow.modes`: a steep ramp, with the velocity of balanced forces
 
 K, LOG_F, V_DR, SHAPE = int(Global.K), int(Global.LOG_F), int(Global.V_DR), int(Global.SHAPE)
 D, DATUM, DAMPING, FADE = int(Global.D), int(Global.DATUM), int(Global.DAMPING), int(Global.FADE)
@@ -104,15 +104,15 @@ COMPLIANCE, COSINE, SINE, OMEGA = (
     int(Global.OMEGA),
 )
 STATIC = int(Global.STATIC)
-# Called in each step with all 49 numbers of a `Window`: a path took half as long again.
+# Called in each step with all 49 numbers of a `Window`; without inlining a path takes 1.5 times as long.
 INLINED = ("acceleration", "margin", "store_point")
 
 
 class Drag(NamedTuple):
     """A drag on the mass: a table, extrapolated linearly; empty for none.
 
-    ``velocity`` (G,) in m/s rises, ``acceleration`` (G,) is in m/s^2.  Within ``turn`` of rest (m/s) it may change
-    steeply: no step passes over that.
+    ``velocity`` (G,) increases, m/s; ``acceleration`` (G,) is in m/s^2.  Within ``turn`` of rest (m/s) it may change
+    steeply, which no step skips.
     """
 
     velocity: Array
@@ -172,20 +172,20 @@ def piece(w: Window, t: float) -> int:
     return low
 
 
-def between(w: Window, row: int, t: float) -> float:
+def interpolate(w: Window, row: int, t: float) -> float:
     """Return a row of `Extra.along` at time t by linear interpolation; 0 for no row."""
     if row == 0:
         return 0.0
     i = piece(w, t)
     j = min(i + 1, w.high - 1)
     gap = w.along[0, j] - w.along[0, i]
-    part = (t - w.along[0, i]) / gap if gap > 0.0 else 0.0
-    part = min(max(part, 0.0), 1.0)
-    return float(w.along[row, i] + part * (w.along[row, j] - w.along[row, i]))
+    share = (t - w.along[0, i]) / gap if gap > 0.0 else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return float(w.along[row, i] + share * (w.along[row, j] - w.along[row, i]))
 
 
-def slope_between(w: Window, row: int, t: float) -> float:
-    """Return the slope of a row of `Extra.along` just after time t, interpolated as by `between`."""
+def interpolate_slope(w: Window, row: int, t: float) -> float:
+    """Return the slope of a row of `Extra.along` just after time t, interpolated as by `interpolate`."""
     if row == 0 or not w.along[0, w.low] <= t < w.along[0, w.high - 1]:
         return 0.0
     i = piece(w, t)
@@ -195,7 +195,7 @@ def slope_between(w: Window, row: int, t: float) -> float:
 def belt_speed(w: Window, t: float) -> float:
     """Return the speed of the unloaded belt, m/s."""
     u, omega = w.u, w.u[OMEGA]
-    steady = u[V_DR] + between(w, w.belt, t)
+    steady = u[V_DR] + interpolate(w, w.belt, t)
     if omega == 0.0:
         return float(steady)
     return float(steady + u[COSINE] * math.cos(omega * t) + u[SINE] * math.sin(omega * t))
@@ -206,22 +206,23 @@ def belt_acceleration(w: Window, t: float) -> float:
     u, omega = w.u, w.u[OMEGA]
     if omega == 0.0 and w.belt == 0:
         return 0.0
-    drift = slope_between(w, w.belt, t)
+    drift = interpolate_slope(w, w.belt, t)
     return float(drift + omega * (u[SINE] * math.cos(omega * t) - u[COSINE] * math.sin(omega * t)))
 
 
-def remaining(fade: float, t: float, epoch: float) -> float:
+def fade_factor(fade: float, t: float, epoch: float) -> float:
     """Return the friction level at time t (s) over that at ``epoch``.
 
-    Each cycle's level falls along a line of time; all lines have the same zero, as the run's wear has: a constant loss
-    left 2 um of a 16 s run that lost a tenth of its level. ``fade`` is the loss per second over the level at 0 s.
+    Each cycle's level falls linearly in time; all lines have the same zero, as for the wear of the run: a constant rate
+    left a residual of 2 um in a run of 16 s that lost a tenth of its level. ``fade`` is the loss per second over the
+    level at 0 s.
     """
     return float((1.0 - fade * t) / (1.0 - fade * epoch))
 
 
 def level_at(w: Window, t: float) -> float:
     """Return the friction level over F, which fades from the cycle's break-away on."""
-    return float(w.level * remaining(w.u[FADE], t, w.epoch))
+    return float(w.level * fade_factor(w.u[FADE], t, w.epoch))
 
 
 def drag(w: Window, v: float) -> tuple[float, float]:
@@ -246,7 +247,7 @@ def resistance(w: Window, v: float) -> float:
 
 def free_force(w: Window, t: float, x: float) -> float:
     """Return the acceleration of the mass at rest without friction, m/s^2."""
-    return float(-w.u[K] * (x - w.u[DATUM]) + between(w, w.force, t))
+    return float(-w.u[K] * (x - w.u[DATUM]) + interpolate(w, w.force, t))
 
 
 def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
@@ -268,7 +269,7 @@ def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
     rate = rise + w.u[DAMPING] - bend
     slower = (w.u[DAMPING] * belt - dragged - free_force(w, t, x)) / rate  # than the belt; small on a steep ramp
     late = (rise * belt_acceleration(w, t) - w.u[K] * (belt - slower)) / rate**2
-    steady = w.u[V_DR] + between(w, w.belt, t)
+    steady = w.u[V_DR] + interpolate(w, w.belt, t)
     return float(belt - (slower + late + w.u[OMEGA] ** 2 * (belt - steady) / rate**2))
 
 
@@ -298,23 +299,23 @@ def load(w: Window, t: float, x: float) -> float:
     return float(belt_acceleration(w, t) + resistance(w, belt) - free_force(w, t, x))
 
 
-# Longest step times the fastest rate: at 100 Hz positions of the rig scene's slips err by 2e-8 m, doubled by 1e-7 m,
-# against microns of noise.  At 1 kHz one step a sample is shorter than that anyhow, but on steep ramps.
+# Longest step times the fastest rate: at 100 Hz positions in slips of the rig scene have errors of 2e-8 m, at twice
+# this 1e-7 m, compared with microns of noise.  At 1 kHz one step a sample is shorter, except on steep ramps.
 LONGEST_STEP = 0.1
-SEARCH_STEP = 0.4  # longest step while searching: positions err by 0.5 um, which the last steps mend
-# Way of a ramp's transient over the spring's stretch under F.  At 1e-5 a ramp's creep would miss a micron of its
-# transient; at 1e-9 a steep ramp takes ten times as many steps.
+SEARCH_STEP = 0.4  # longest step of a search: errors of positions are 0.5 um, which the last steps correct
+# Distance of a ramp's transient over the spring's stretch under F.  At 1e-5 creep would omit a micron of the transient;
+# at 1e-9 a steep ramp takes ten times as many steps.
 TRANSIENT_HIDDEN = 1e-7
 # Longest time constant of a ramp that creeps once its transient has died out, over the longest step of the oscillation.
-# At twice that, tangents of a search err by 3e-3; at half, ramps of 12 mm/s take 9 steps a sample of 125 Hz, not 1.4.
+# At twice that, tangents of a search have errors of 3e-3; at half, ramps of 12 mm/s take 9 steps a sample at 125 Hz.
 STEEP_RAMP = 0.1
 TRANSIENT_TIMES = 18.0  # time constants of a ramp after which its transient has died out: exp(-18) is 1.5e-8
-# Step over the time to rest: at a half a sharp guide's force is followed to 1e-3 of its change in one step.
+# Step over the time to rest: at 0.5 the force of a sharp guide is accurate to 1e-3 of its change in one step.
 STEP_IN_TURN = 0.5
-# Step of a difference over the time in which a creep changes: its rate errs by so much of itself, and by rounding,
+# Step of a finite difference over the time in which creep changes: the relative error of its rate, plus rounding of
 # 1e-12 m/s over d.
 CREEP_DIFFERENCE = 1e-4
-MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
+MOST_EVENTS = 200  # changes of mode in one window; a motion with more stays on an edge
 MOST_BISECTIONS = 60  # halvings that find an event: a double has 53 binary digits
 
 # Rows of the table of points.
@@ -324,9 +325,9 @@ FIRST_POINT, WINDOW, SAMPLE = range(3)
 X_SLIP, V_SLIP, OWN, NEXT, X_STICK, V_STICK = (int(column) for column in PerCycle)
 
 
-def margin(w: Window, mode: int, held: bool, t: float, x: float, v: float) -> float:
+def margin(w: Window, mode: int, lasts: bool, t: float, x: float, v: float) -> float:
     """Return the distance of a state from the edge of its mode (m/s, in stick m/s^2); negative after its end."""
-    if held:
+    if lasts:
         return 1.0
     e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
     if mode == NEGATIVE:
@@ -348,7 +349,7 @@ def margin_at_side(w: Window, mode: int, side: float, t: float, x: float, v: flo
 def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -> float:
     """Return the part of the step h after which the mode ends, by bisection with a faster secant.
 
-    A ramp ends at the edge on the step's final side: it begins on the other one, within rounding.
+    A ramp ends at the edge on the final side of the step, since within rounding it begins on the other edge.
     """
     low, high = 0.0, h
     far_x, far_v = advance(w, mode, t, x, v, h)
@@ -385,34 +386,34 @@ def next_mode(w: Window, mode: int, t: float, x: float, v: float) -> int:
     return NEGATIVE if pull > most else STICK
 
 
-def ramp_mode(w: Window, held: bool, t: float, x: float) -> int:
-    """Return the mode in which a ramp is entered: CREEP where its transient would not show, else RAMP.
+def ramp_mode(w: Window, lasts: bool, t: float, x: float) -> int:
+    """Return the mode in which a ramp is entered: CREEP if its transient is negligible, else RAMP.
 
-    Where the forces balance beyond the ramp, its transient carries the mass through it: no creep.
+    If the forces balance only outside the ramp, the transient carries the mass through it without creep.
     """
     edge = edge_speed(w.contact)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     stretch = w.contact.F * w.contact.at_rest / w.u[K]
-    return CREEP if edge < TRANSIENT_HIDDEN * rise * stretch and balances(w, held, t, x) else RAMP
+    return CREEP if edge < TRANSIENT_HIDDEN * rise * stretch and balances(w, lasts, t, x) else RAMP
 
 
-def balances(w: Window, held: bool, t: float, x: float) -> bool:
-    """Return whether the forces balance within the ramp, which has no edge where the contact is held."""
-    return held or abs(belt_speed(w, t) - bound_velocity(w, CREEP, t, x)) < edge_speed(w.contact)
+def balances(w: Window, lasts: bool, t: float, x: float) -> bool:
+    """Return whether the forces balance within the ramp, which has no edge if ``lasts``."""
+    return lasts or abs(belt_speed(w, t) - bound_velocity(w, CREEP, t, x)) < edge_speed(w.contact)
 
 
-def settled(w: Window, held: bool, t: float, x: float, since: float, longest: float) -> bool:
+def can_creep(w: Window, lasts: bool, t: float, x: float, since: float, longest: float) -> bool:
     """Return whether a ramp entered at time ``since`` can creep in steps ``longest`` times the fastest rate.
 
     The error is of second order in K/rise^2, like that of a step.
     """
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     steep = math.sqrt(w.u[K]) < STEEP_RAMP * longest * rise
-    return steep and (t - since) * rise > TRANSIENT_TIMES and balances(w, held, t, x)
+    return steep and (t - since) * rise > TRANSIENT_TIMES and balances(w, lasts, t, x)
 
 
 def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
-    """Return the longest step (s) that resolves a steep change of drag as the mass turns round."""
+    """Return the longest step (s) that resolves a steep change of drag where the mass turns."""
     turn = w.turn
     if turn == 0.0 or mode == STICK or mode == CREEP:
         return math.inf
@@ -478,7 +479,7 @@ def first_mode(w: Window, stick: bool, t: float, x: float, v: float) -> tuple[in
 def mode_at_edge(
     w: Window,
     before: int,
-    held: bool,
+    lasts: bool,
     landed: bool,
     overtakes: bool,
     earliest: float,
@@ -487,38 +488,38 @@ def mode_at_edge(
     x: float,
     v: float,
 ) -> tuple[int, bool, bool, float]:
-    """Return the mode after one that has ended, whether it is held to the window's end, has landed, and the level.
+    """Return the mode after one that has ended, whether it lasts to the window's end, whether landed, and the level.
 
-    The first touch of the belt from ``earliest`` on is the landing: the next level holds, and the mass sticks to the
-    window's end, or overtakes the belt and sticks when it comes back.
+    The first contact with the belt from ``earliest`` on is the landing: the next level applies, and the mass sticks to
+    the window's end, or overtakes the belt and sticks when it returns.
     """
     jump = edge_speed(w.contact) == 0.0
     if landed and before == POSITIVE:
         return STICK if jump else ramp_mode(w, True, t, x), True, True, w.level
     if landed or before != NEGATIVE or t < earliest:
-        return next_mode(w, before, t, x, v), held, landed, w.level
+        return next_mode(w, before, t, x, v), lasts, landed, w.level
     if jump:
         return POSITIVE if overtakes else STICK, not overtakes, True, next_level
     after = at_level(w, next_level)
     return ramp_mode(after, not overtakes, t, x), not overtakes, True, next_level
 
 
-def contact_of(curve: int, own: Array, ramp: int, pieces: int, spline: Array) -> Contact:
-    """Return the contact of a run with unknowns ``own`` (13,)."""
-    F = math.exp(own[LOG_F])
-    d = own[D] if ramp == 1 else 0.0
-    q = own[COMPLIANCE] * F / own[K]
-    c = Contact(curve, F, own[SHAPE], d, q, 1.0, 1.0, pieces, spline)
-    static = own[STATIC] if ramp == 1 and q == 0.0 else 1.0
-    return Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], pieces, spline)
+def contact_of(curve: int, u: Array, ramp: int, pieces: int, spline: Array) -> Contact:
+    """Return the contact of a run with unknowns ``u`` (13,)."""
+    F = math.exp(u[LOG_F])
+    d = u[D] if ramp == 1 else 0.0
+    q = u[COMPLIANCE] * F / u[K]
+    c = Contact(curve, F, u[SHAPE], d, q, 1.0, 1.0, pieces, spline)
+    static = u[STATIC] if ramp == 1 and q == 0.0 else 1.0
+    return Contact(curve, F, u[SHAPE], d, q, static, normal_curve(c, 0.0)[0], pieces, spline)
 
 
 def step_to_edge(
-    w: Window, mode: int, held: bool, t: float, x: float, v: float, h: float
+    w: Window, mode: int, lasts: bool, t: float, x: float, v: float, h: float
 ) -> tuple[float, float, float, bool]:
     """Return (x, v) after a step of length h, cut where the mode ends; its length, and whether the mode ends."""
     x1, v1 = advance(w, mode, t, x, v, h)
-    ends = margin(w, mode, held, t + h, x1, v1) < 0.0 and math.isfinite(x1 + v1)
+    ends = margin(w, mode, lasts, t + h, x1, v1) < 0.0 and math.isfinite(x1 + v1)
     if ends:
         h = time_of_edge(w, mode, t, x, v, h)
         x1, v1 = advance(w, mode, t, x, v, h)
@@ -538,15 +539,15 @@ def window_at(
     extra: Extra,
 ) -> tuple[Window, float, float, float]:
     """Return the numbers of a window, its first position and velocity, and the next level; `follow_windows`."""
-    own, part = u[table[row, 5]], local[table[row, 0]]
-    c = contact_of(curve, own, ramp, pieces, spline)
+    u_of_run, start = u[table[row, 5]], local[table[row, 0]]
+    c = contact_of(curve, u_of_run, ramp, pieces, spline)
     low, high = 0, 0
     if extra.along.size > 0:
         low, high = extra.first[row], extra.first[row + 1]
     acts = extra.along, extra.force, extra.belt, extra.drag, extra.turn
-    w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, *acts)
-    x, v = (part[X_STICK], part[V_STICK]) if table[row, 1] == 1 else (part[X_SLIP], part[V_SLIP])
-    return w, x, v, math.exp(part[NEXT])
+    w = Window(u_of_run, c, math.exp(start[OWN]), epoch[row], low, high, *acts)
+    x, v = (start[X_STICK], start[V_STICK]) if table[row, 1] == 1 else (start[X_SLIP], start[V_SLIP])
+    return w, x, v, math.exp(start[NEXT])
 
 
 def follow_window(
@@ -576,13 +577,13 @@ def follow_window(
     too small, and (0, -1) where the motion cannot be followed.
     """
     t = times[0]
-    held, landed = stick, stick
+    lasts, landed = stick, stick
     mode, v = first_mode(w, stick, t, x, v)
     i, events, entered, since = 0, 0, True, t
     while True:
         if m + 4 > points.shape[1] or s >= steps.shape[0]:  # a change of mode, and the middle and end of a step
             return -1, 0
-        if mode == RAMP and not entered and settled(w, held, t, x, since, longest):
+        if mode == RAMP and not entered and can_creep(w, lasts, t, x, since, longest):
             mode = CREEP
             v = bound_velocity(w, mode, t, x)
             m += 1
@@ -599,7 +600,7 @@ def follow_window(
         gap = times[i] - t
         h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / longest))
         h = min(h, turning_step(w, mode, t, x, v))
-        x1, v1, h, ends = step_to_edge(w, mode, held, t, x, v, h)
+        x1, v1, h, ends = step_to_edge(w, mode, lasts, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return 0, -1
         done = not ends and h >= gap
@@ -625,11 +626,13 @@ def follow_window(
                 return 0, -1
             before = mode
             rates_before = rates_at(w, before, t, x, v)
-            mode, held, landed, level = mode_at_edge(w, before, held, landed, overtakes, earliest, next_level, t, x, v)
+            mode, lasts, landed, level = mode_at_edge(
+                w, before, lasts, landed, overtakes, earliest, next_level, t, x, v
+            )
             w = at_level(w, level)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)
-            # Off a ramp that ends at the level of slip, position, velocity and force go on, and so does a tangent.
+            # Position, velocity, force and tangents are continuous at the end of a ramp that has the level of slip.
             if before != STICK and not (w.contact.static == 1.0 and (before == RAMP or before == CREEP)):
                 crossing(w, before, rates_before, mode, t, x, v, jumps[s - 1])
             m += 1

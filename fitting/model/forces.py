@@ -1,7 +1,7 @@
-"""Departures: assumptions of the fit that may break, and their forces.
+"""Departures: assumptions of the fit that may be violated, and their forces.
 
-A departure maps a fitted motion, read at the stage points of every window, to its effect, to first order in its
-parameters.  As a `Force` of a fit its coefficients, and its scale if it has one, are unknowns.
+A departure maps a fitted motion, at the stage points of every window, to its effect, to first order in its parameters.
+As a `Force` of a fit its coefficients, and its scale if it has one, are unknowns.
 """
 
 import math
@@ -24,10 +24,10 @@ from stickslip.compute.arrays import Array, Integers, Mask
 
 def follow_pole(drive: Array, turn: complex, gain: complex, state: NDArray[np.complex128]) -> None:
     """Fill ``state`` (n,) from 0: each is ``turn`` times the one before plus ``gain`` times the drive (n,) then."""
-    now = 0j
+    value = 0j
     for k in range(drive.size):
-        state[k] = now
-        now = turn * now + gain * drive[k]
+        state[k] = value
+        value = turn * value + gain * drive[k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class FittedMotion:
     time: Array  # (M,) s, m, m/s
     position: Array
     velocity: Array
-    belt_speed: Array  # (M,) m/s, without what a departure adds
+    belt_speed: Array  # (M,) m/s, without the effect of a departure
     belt_position: Array  # (M,) m, from any origin
     friction: Array  # (M,) force of the belt on the mass per unit mass, positive where it pulls towards +x, m/s^2
     stretch: Array  # (M,) of the spring, m
@@ -122,23 +122,23 @@ class Forcing(NamedTuple):
 
 @dataclass(frozen=True)
 class Departure:
-    """One assumption and how it may break."""
+    """One assumption and how it may be violated."""
 
     name: str
-    text: str  # what it says of the rig, to stand in a sentence after the best law's name
+    text: str  # the difference in the rig, used in a sentence after the law's name
     # symbol and unit of its size: of the coefficient of one column, or the amplitude of two, a sine and a cosine
     parameter: str
     unit: str
     # ``forcing(trajectory, scale)``; ``scale`` is NaN for a departure that has none
     forcing: Callable[[FittedMotion, float], Forcing]
     columns: int = 1  # 1 or 2
-    scale: str = ""  # what else it depends on, such as a frequency: scanned
+    scale: str = ""  # name of the parameter that is scanned, such as a frequency
     scale_unit: str = ""
-    scales: Callable[[FittedMotion], Array] | None = None  # to scan, rising, at most half a resolution apart
+    scales: Callable[[FittedMotion], Array] | None = None  # values to scan, at most half a resolution apart
     with_mass: tuple[str, str] | None = None  # symbol and unit of the size times the mass
-    text_of_positions: str = ""  # ``text`` of a record that no encoder counted, where it differs
-    # ``drag(velocity, turn)``: a force by the mass's velocity alone, m/s^2 per unit of the parameter, which may jump at
-    # rest within ``turn``, m/s.  It is followed with the motion, any other force along the path before.
+    text_of_positions: str = ""  # ``text`` for a record without an encoder, if different
+    # ``drag(velocity, turn)``: a force that depends only on the mass's velocity, m/s^2 per unit of the parameter, and
+    # may jump at rest within ``turn``, m/s.  It acts on the motion itself, any other force along the earlier path.
     drag: Callable[[Array, float], Array] | None = None
 
     def says(self, *, counted: bool) -> str:
@@ -183,7 +183,7 @@ def speed_of_wave(length: float) -> float:
 
 
 SCALE_STEP = 1e-4  # relative step of the derivative by a scale
-SCALE_RANGE = 0.15  # relative range of a scale: how far a scale may move from where the scan found it
+SCALE_RANGE = 0.15  # largest relative change of a scale from its scanned value
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +207,8 @@ class Force:
     @property
     def lower(self) -> Array:
         """Lower bounds (width,): a drag dissipates energy; another force may have either sign."""
-        least = 0.0 if self.departure.drag is not None else -np.inf
-        return np.array([least] * self.departure.columns + [-SCALE_RANGE] * self.scanned)
+        lowest = 0.0 if self.departure.drag is not None else -np.inf
+        return np.array([lowest] * self.departure.columns + [-SCALE_RANGE] * self.scanned)
 
     @property
     def upper(self) -> Array:
@@ -229,10 +229,10 @@ class Force:
         forcing = self.departure.forcing(motion, scale)
         if not self.scanned:
             return [forcing]
-        beside = self.departure.forcing(motion, scale * (1 + SCALE_STEP))
+        stepped = self.departure.forcing(motion, scale * (1 + SCALE_STEP))
         along = self.coefficients(size) / (self.scale / scale * SCALE_STEP)
         parts = [
-            None if near is None or far is None else np.einsum("nk,k->n", far - near, along)[:, np.newaxis]
-            for near, far in zip(forcing, beside, strict=True)
+            None if before is None or after is None else np.einsum("nk,k->n", after - before, along)[:, np.newaxis]
+            for before, after in zip(forcing, stepped, strict=True)
         ]
         return [forcing, Forcing(*parts)]

@@ -27,7 +27,7 @@ from fitting.model.flow import SEARCH_STEP
 from fitting.model.memory_flow import BRISTLES, FC, FS, PARAMETERS, RATE_AND_STATE, SHARED, V_S
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.problem import EstimationProblem, Run, cycle_starts, thinned_to
+from fitting.model.problem import EstimationProblem, Run, choose_thinning, cycle_starts
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
@@ -63,7 +63,7 @@ class MemoryProblem(EstimationProblem):
     @property
     def thinning(self) -> list[Thinning]:
         """A break-away lies in each window, so its stick is not thinned more than its slip."""
-        return [Thinning(thinned_to(run).stride) for run in self.runs]
+        return [Thinning(choose_thinning(run).stride) for run in self.runs]
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
         taken = self.thinning if thinned else [EVERY_SAMPLE] * len(self.runs)
@@ -85,7 +85,7 @@ def memory_windows(motion: MeasuredMotion, cut: CycleSegmentation, thinning: Thi
         first = middle_of_slip(motion, cycle)
         if motion.broken[first + 1 : end].any():
             end = cycle.slip[1]
-        taken = first + thinning.taken(end - first, end - first)
+        taken = first + thinning.select(end - first, end - first)
         table.append((k, 0, total, taken.size, 0, 0))
         samples.append(taken)
         total += taken.size
@@ -116,7 +116,7 @@ class MemoryModel(Model):
         return None if found is None else found[:2]
 
     def loop(self, windows: ShootingWindows, q: Array, local: Array, run: int | None, cycle: int) -> Array | None:
-        p, own = self._parameters(q), windows.some(np.array([cycle]))
+        p, own = self._parameters(q), windows.of_cycles(np.array([cycle]))
         own.table[0, 3], run = LOOP_POINTS, int(own.table[0, 5]) if run is None else run
         own.table[0, 5] = 0
         dense = replace(own, time=np.linspace(own.time[0], own.time[-1], LOOP_POINTS))
@@ -126,8 +126,8 @@ class MemoryModel(Model):
     def all_derivatives(self, q: Array, local: Array) -> Derivatives:
         return Derivatives(self.windows.blocks, partial(self._derive, q, local, self.task.places))
 
-    def some(self, q: Array, cycles: Integers) -> Evaluate:
-        part = MemoryModel(self.task, self.windows.some(cycles), self.longest_step)
+    def evaluate_cycles(self, q: Array, cycles: Integers) -> Evaluate:
+        part = MemoryModel(self.task, self.windows.of_cycles(cycles), self.longest_step)
         if self._size is not None:
             part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
 
@@ -143,7 +143,7 @@ class MemoryModel(Model):
     def _derive(self, q: Array, local: Array, places: Sequence[int] | None, block: Block) -> Array | None:
         """Return the derivatives of a block by the cycles' own unknowns, unless None after those at ``places``."""
         whole = block.rows == slice(0, self.windows.time.size)
-        windows = self.windows if whole else self.windows.some(np.arange(block.cycles.start, block.cycles.stop))
+        windows = self.windows if whole else self.windows.of_cycles(np.arange(block.cycles.start, block.cycles.stop))
         p = self._parameters(q)
         x, derivatives = self._follow(p, local[block.cycles], windows, columns=memory_flow.COLUMNS)
         if x is None or not np.all(np.isfinite(derivatives)):
@@ -241,7 +241,7 @@ def memory_task(law: Law, problem: MemoryProblem, start: dict[str, float]) -> Ta
     return Task(problem, MemoryCurve(law, start | dict(law.start or {})), places)
 
 
-def start_beside(task: Task, u: Array) -> FitStart:
+def warm_start(task: Task, u: Array) -> FitStart:
     """Return the start of a task at the rig of unknowns u (13 runs,), its windows at the smoothed motion."""
     problem = task.problem
     local = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, u)

@@ -1,8 +1,8 @@
 """The motion along the windows of a fit, and a friction curve as a cubic B-spline of the slip speed.
 
-`follow` returns a path: the motion at the stage points of the integration of tangents.  `positions` takes the same
-steps with nothing stored for tangents, as long as the motion allows, whatever the samples: between two ends of a step a
-position is that of Hermite's cubic.  A search asks for positions three times for each time that it asks for tangents.
+`follow` returns a path: the motion at the stage points of the integration of tangents.  `positions` stores nothing for
+tangents, and its steps are independent of the samples: within a step positions are interpolated by Hermite's cubic.  A
+search needs positions three times as often as tangents.
 """
 
 import math
@@ -25,10 +25,10 @@ from fitting.model.flow import (
     Window,
     at_level,
     bound_velocity,
+    can_creep,
     fastest_rate,
     first_mode,
     mode_at_edge,
-    settled,
     step_to_edge,
     turning_step,
     window_at,
@@ -54,8 +54,8 @@ class FrictionSpline:
     @classmethod
     def over(cls, knots: Array, coefficients: Array | None = None) -> "FrictionSpline":
         """Return a spline over knots (n + 1,), with coefficients (n + 3,) 0 unless given."""
-        found = np.zeros(knots.size + DEGREE - 1) if coefficients is None else coefficients
-        return cls(knots, found, _basis_pieces(knots))
+        values = np.zeros(knots.size + DEGREE - 1) if coefficients is None else coefficients
+        return cls(knots, values, _basis_pieces(knots))
 
     def with_coefficients(self, coefficients: Array) -> "FrictionSpline":
         return FrictionSpline(self.knots, coefficients, self.basis_pieces)
@@ -63,12 +63,12 @@ class FrictionSpline:
     def nearest(self, s: Array, values: Array) -> "FrictionSpline":
         """Return the least-squares spline with the same knots for values (k,) at speeds s (k,).
 
-        Every piece holds at least four of the speeds, and none lies outside the knots.
+        Every piece must contain at least four of the speeds, and none may be outside the knots.
         """
-        found = np.zeros(self.coefficients.size)
+        best = np.zeros(self.coefficients.size)
         fit = compiled(fill_nearest, ("rig_sim.friction.spline", __name__), _nrt=False)
-        fit(self.knots, self.basis_pieces, s, values, np.zeros((found.size, DEGREE + 1)), np.empty(DEGREE + 1), found)
-        return self.with_coefficients(found)
+        fit(self.knots, self.basis_pieces, s, values, np.zeros((best.size, DEGREE + 1)), np.empty(DEGREE + 1), best)
+        return self.with_coefficients(best)
 
     @cached_property
     def pieces(self) -> Array:
@@ -92,11 +92,11 @@ class FrictionSpline:
 
         Continued with a constant slope beyond the last knot; below 0 by the first polynomial.
         """
-        found = np.zeros((directions.shape[1], s.size))
+        basis = np.zeros((directions.shape[1], s.size))
         fill = compiled(fill_basis, ("rig_sim.friction.spline", __name__), _nrt=False)
         each = np.broadcast_to(factor, s.shape).copy()
-        fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), each, np.ascontiguousarray(directions), found)
-        return found
+        fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), each, np.ascontiguousarray(directions), basis)
+        return basis
 
     def projection(self, s: Array) -> Array:
         """Return the matrix (n + 3, k) from values at speeds s (k,) to the coefficients of the nearest spline."""
@@ -118,24 +118,24 @@ def _basis_pieces(knots: Array) -> Array:
     t = np.concatenate(([knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE))
     n = knots.size - 1
     piece = np.arange(n)
-    # those of the four functions that act on a piece, in powers of s - t_i with i = piece + 3; the last one is 0 here
-    found = np.zeros((DEGREE + 2, n, DEGREE + 1))
-    found[DEGREE, :, 0] = 1.0
+    # the four functions that are not 0 on a piece, in powers of s - t_i with i = piece + 3; the last row is 0
+    functions = np.zeros((DEGREE + 2, n, DEGREE + 1))
+    functions[DEGREE, :, 0] = 1.0
     below = t[piece + DEGREE]
     for k in range(1, DEGREE + 1):
         for row in range(DEGREE - k, DEGREE + 1):
             j = piece + row
             total = np.zeros((n, DEGREE + 1))
             if row > DEGREE - k:
-                rise = (below - t[j])[:, None] * found[row] + np.roll(found[row], 1, axis=1)
+                rise = (below - t[j])[:, None] * functions[row] + np.roll(functions[row], 1, axis=1)
                 total += rise / (t[j + k] - t[j])[:, None]
             if row < DEGREE:
-                fall = (t[j + k + 1] - below)[:, None] * found[row + 1] - np.roll(found[row + 1], 1, axis=1)
+                fall = (t[j + k + 1] - below)[:, None] * functions[row + 1] - np.roll(functions[row + 1], 1, axis=1)
                 total += fall / (t[j + k + 1] - t[j + 1])[:, None]
-            found[row] = total
+            functions[row] = total
     pieces = np.zeros((n + DEGREE, n, DEGREE + 1))
     for row in range(DEGREE + 1):
-        pieces[piece + row, piece] = found[row]
+        pieces[piece + row, piece] = functions[row]
     return pieces
 
 
@@ -194,14 +194,14 @@ def fill_nearest(
 
 
 KERNELS = ("rig_sim.friction.curve", "rig_sim.friction.spline", "fitting.model.flow")
-# A motion of more steps, 230 bytes each, is not followed.  Trial splines that were too steep took 1200 a sample, and
-# 21 GB of memory; motions that a fit accepted took 16 a sample at most.
+# Limit on the steps of a motion, of 230 bytes each.  Trial splines that were too steep took 1200 a sample, and 21 GB of
+# memory; motions that a fit accepted took at most 16 a sample.
 MOST_STEPS, MOST_STEPS_A_SAMPLE = 1_000_000, 32
-# Steps a sample for which there is room at first, on a jump and on a ramp; where they are more, the motion is followed
-# again with more room.  At 1 kHz jumps take 1.0, ramps of the rig scene 1.3 to 1.8.
+# Steps a sample for which memory is allocated at first, on a jump and on a ramp; if more are needed, the integration is
+# repeated with more.  At 1 kHz jumps take 1.0, ramps of the rig scene 1.3 to 1.8.
 STEPS_A_SAMPLE = 1.2, 2.2
-# m: a motion that goes further is not followed.  Trials of a search went to 1e110 m, where a hard spring's force is no
-# number.
+# m: limit on the positions of a motion.  Trials of a search went to 1e110 m, where the force of a hard spring
+# overflows.
 FARTHEST = 1e9
 NO_SPLINE, NOTHING, NO_FORCES = np.zeros(1), np.zeros(0), np.zeros((1, 0))
 NO_DRAG = Drag(NOTHING, NOTHING, 0.0)
@@ -222,7 +222,7 @@ class Path:
 
     windows: ShootingWindows
     curve: Curve
-    u: Array  # (13 runs,) the unknowns that it was followed with
+    u: Array  # (13 runs,) the unknowns of the motion
     local: Array
     time: Array  # (M,) s, m, m/s
     position: Array
@@ -230,18 +230,18 @@ class Path:
     belt_speed: Array  # (M,) of the unloaded belt, m/s
     level: Array  # (M,) the cycle's friction level over F, faded
     # (M,) m/s^2 and 1/s: friction on the mass per unit mass, level included, positive along x, and its derivative by
-    # the relative speed; in stick what holds the mass, and 0
+    # the relative speed; in stick the force that holds the mass, and 0
     friction: Array
     friction_slope: Array
     slip_speed: Array  # (M,) m/s; the argument of the curve, >= 0; 0 on a ramp and in stick
-    # (M,) derivative of what the mass's own velocity takes from its acceleration, 1/s: c/m, and that of a drag
+    # (M,) derivative of the deceleration by the mass's velocity, 1/s: c/m, and that of a drag
     damping: Array
     mode: Integers  # (M,) `rig_sim.flow.modes`, or CREEP (`fitting.model.flow`)
-    landed: Mask  # (M,) whether the cycle's next level holds: after the landing of a slip window
+    landed: Mask  # (M,) whether the cycle's next level applies: after the landing of a slip window
     first_point: Integers  # (windows + 1,) where each window's points and steps begin
     first_step: Integers
     steps: Integers  # (S, 3) first of a step's three points, its window, the sample at its end or -1
-    jumps: Array  # (S, 3) what a change of mode at a step's end does to tangents (`flow.crossing`)
+    jumps: Array  # (S, 3) effect of a change of mode at a step's end on tangents (`flow.crossing`)
     reached: Integers  # (N,) the point of each sample
 
     def unknown(self, slot: int) -> Array | float:
@@ -297,7 +297,7 @@ def follow(
     drag: Drag = NO_DRAG,
     longest_step: float = LONGEST_STEP,
 ) -> Path | None:
-    """Follow all windows; None where the motion cannot be followed, or only in too many steps.
+    """Follow all windows; None if the motion cannot be followed, or takes too many steps.
 
     ``u`` (13 runs,) are `fitting.model.unknowns.Global`, with a spline LOG_F and SHAPE unused; ``local`` (cycles, 6)
     are `PerCycle`. An added acceleration (m/s^2) and belt speed (m/s), (M,), are given at the points of ``along``, an
@@ -308,7 +308,7 @@ def follow(
     reached = np.zeros(N, np.int64)
     first_point, first_step = np.zeros((2, rows + 1), np.int64)
     kernel = compiled(flow.follow_windows, KERNELS, _nrt=False)
-    # Where an earlier path took more steps, this one takes about as many.
+    # If an earlier path took more steps, this one takes about as many.
     earlier = 0.0 if along is None else 1.2 * along.steps.shape[0]
     size = int(max(STEPS_A_SAMPLE[bool(curve.ramp)] * N, earlier)) + 20 * rows
     most = max(size, MOST_STEPS, MOST_STEPS_A_SAMPLE * N)
@@ -375,9 +375,9 @@ def kernel_arguments(
         unknowns[:, LOG_F] = 0.0
     first, acting, force, belt = np.zeros(1, np.int64), NO_FORCES, 0, 0
     if along is not None:
-        given = [part for part in (acceleration, belt_speed) if part is not None]
-        first, acting = along.first_point, np.stack((along.time, *given))
-        force, belt = int(acceleration is not None), 0 if belt_speed is None else len(given)
+        effects = [effect for effect in (acceleration, belt_speed) if effect is not None]
+        first, acting = along.first_point, np.stack((along.time, *effects))
+        force, belt = int(acceleration is not None), 0 if belt_speed is None else len(effects)
     extra = Extra(first, acting, force, belt, np.stack((drag.velocity, drag.acceleration)), drag.turn)
     return (
         curve.code,
@@ -398,8 +398,8 @@ def spline_curve(spline: FrictionSpline, ramp: bool) -> Curve:
     return Curve(SPLINE, ramp, spline)
 
 
-# Longest step over that of a path.  The cubic between its ends errs by the fourth power: by 1e-9 m in slips of the rig
-# scene, at twice that by 2e-8 m, as a path at 100 Hz does; half takes twice the time.
+# Longest step over that of a path.  The error of the cubic is of fourth order: 1e-9 m in slips of the rig scene, at
+# twice this 2e-8 m, as of a path at 100 Hz; at half this the integration takes twice the time.
 VALUE_STEP = 0.4
 
 
@@ -441,7 +441,7 @@ def window_values(
     It fails where the motion is not finite, stays on an edge, or takes more than ``most`` steps.
     """
     t, end = times[0], times[times.size - 1]
-    held, landed = stick, stick
+    lasts, landed = stick, stick
     mode, v = first_mode(w, stick, t, x, v)
     out[0] = x
     i, events, since, steps = 1, 0, t, 0
@@ -449,29 +449,29 @@ def window_values(
         if steps == most:
             return -1
         steps += 1
-        if mode == RAMP and settled(w, held, t, x, since, longest):
+        if mode == RAMP and can_creep(w, lasts, t, x, since, longest):
             mode = CREEP
             v = bound_velocity(w, mode, t, x)
-        # What a step leaves out of a ramp dies away with its transient.
+        # The error of a long step on a ramp decays with its transient.
         step = longest if mode == RAMP else VALUE_STEP * longest
         rate = fastest_rate(w, mode, t, v)
         h = step / rate if rate * (end - t) > step else end - t
         h = min(h, turning_step(w, mode, t, x, v))
         last = h >= end - t
-        x1, v1, h, ends = step_to_edge(w, mode, held, t, x, v, h)
+        x1, v1, h, ends = step_to_edge(w, mode, lasts, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return -1
-        now = end if last and not ends else t + h
-        while i < times.size and times[i] <= now:
+        step_end = end if last and not ends else t + h
+        while i < times.size and times[i] <= step_end:
             r = (times[i] - t) / h if h > 0.0 else 1.0
             out[i] = x + r * r * (3.0 - 2.0 * r) * (x1 - x) + h * r * (1.0 - r) * ((1.0 - r) * v - r * v1)
             i += 1
-        t, x, v = now, x1, v1
+        t, x, v = step_end, x1, v1
         if ends:
             events += 1
             if events > MOST_EVENTS:
                 return -1
-            mode, held, landed, level = mode_at_edge(w, mode, held, landed, overtakes, earliest, next_level, t, x, v)
+            mode, lasts, landed, level = mode_at_edge(w, mode, lasts, landed, overtakes, earliest, next_level, t, x, v)
             w = at_level(w, level)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)

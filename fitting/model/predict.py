@@ -1,4 +1,4 @@
-"""Tasks (what is fitted to which runs, for a law or a free curve), and the positions and derivatives they predict."""
+"""Tasks (a law or a free curve to be fitted to runs), and the positions and derivatives that they predict."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,8 +25,8 @@ PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where fr
 FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
 # Weight of a second difference of a regressed curve's coefficients, over a slip sample's times the root of their count.
 SMOOTHNESS = 0.03
-LOW_SPEED = 0.06  # speed over the last knot's: regressed slips show little below
-OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a curve of its own has no use for
+LOW_SPEED = 0.06  # speed over the last knot's, below which smoothed slips constrain the curve poorly
+OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a free curve does not use
 
 
 class FitStart(NamedTuple):
@@ -43,7 +43,7 @@ class Task:
     problem: EstimationProblem  # the runs, with the priors, bounds and start of the shared unknowns
     curve: FrictionCurve
     places: tuple[int, ...]  # which shared unknowns are free (`fitting.model.unknowns`)
-    forces: tuple[Force, ...] = ()  # what acts besides
+    forces: tuple[Force, ...] = ()  # departures that act in addition
 
     @property
     def widths(self) -> tuple[int, int, int]:
@@ -57,18 +57,18 @@ class Task:
         return unknowns.copy_shared(u), q[p : p + n], q[p + n :]
 
     def without(self, *slots: Global) -> "Task":
-        """Return the same with shared unknowns fixed at the regression."""
+        """Return the task with shared unknowns fixed at the regression."""
         return replace(self, places=tuple(place for place in self.places if place % PER_RUN not in slots))
 
     def predict(
         self,
         windows: ShootingWindows,
         longest_step: float,
-        near: Path | None = None,
+        earlier_path: Path | None = None,
         count: Array | None = None,
     ) -> "Model":
         model: type[Model] = self.curve.model or Model
-        return model(self, windows, longest_step, near, count)
+        return model(self, windows, longest_step, earlier_path, count)
 
     @property
     def resolution(self) -> float:
@@ -109,50 +109,50 @@ def curve_knots(runs: Sequence[Run], d: float) -> Array:
 
 
 def regress(
-    runs: Sequence[Run], rest: float, columns: Callable[[Array], Array], held: Array | None = None
+    runs: Sequence[Run], rest: float, columns: Callable[[Array], Array], prior_rows: Array | None = None
 ) -> tuple[Array, float]:
-    """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squares left.
+    """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squared error.
 
-    ``held`` (r, n) are rows of c with prior 0.
+    ``prior_rows`` (r, n) are rows of c with prior 0.
     """
     samples = [slip_samples(run.motion, run.cut) for run in runs]
-    x, s, a = (np.concatenate([getattr(own, name) for own in samples]) for name in ("x", "s", "a"))
+    x, s, a = (np.concatenate([getattr(slips, name) for slips in samples]) for name in ("x", "s", "a"))
     matrix, target = np.c_[rest - x, columns(s)], a
-    if held is not None:
+    if prior_rows is not None:
         weight = math.sqrt(float(np.mean(matrix[:, 1:] ** 2)) * a.size)
-        rows = np.c_[np.zeros(held.shape[0]), weight * held]
-        matrix, target = np.r_[matrix, rows], np.r_[a, np.zeros(held.shape[0])]
-    found, left = least_squares(matrix, target)
-    return found, float(np.sum(left**2))
+        rows = np.c_[np.zeros(prior_rows.shape[0]), weight * prior_rows]
+        matrix, target = np.r_[matrix, rows], np.r_[a, np.zeros(prior_rows.shape[0])]
+    solution, residual = least_squares(matrix, target)
+    return solution, float(np.sum(residual**2))
 
 
 def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coefficients: Array) -> Task:
     """Return the task of a free curve about u (13 runs,); curve and rest position move together."""
     places = tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW)
-    beside = u[list(places)]
+    shared = u[list(places)]
     datums = np.array([place % PER_RUN == Global.DATUM for place in places])
     offset = np.where(datums, -u[Global.K] / len(problem.runs), 0.0)
-    curve = FreeCurve(knots, ramp=problem.ramp, coefficients=coefficients, offset=offset, beside=beside)
+    curve = FreeCurve(knots, ramp=problem.ramp, coefficients=coefficients, offset=offset, shared=shared)
     start = problem.start.copy()
     start[Global.K :: PER_RUN] = u[Global.K]
     return Task(replace(problem, start=start), curve, places)
 
 
-def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
-    """Return K and the coefficients of a free curve by regression of the smoothed slips; None if absurd.
+def regress_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
+    """Return K and the coefficients of a free curve from regression of the smoothed slips; None if not physical.
 
-    At low speed, where slips show little, the curve begins with the load at the break-aways.
+    At low speed, where slips constrain the curve poorly, it begins with the load at the break-aways.
     """
     spline = FrictionSpline.over(knots)
-    held = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)
-    found, _ = regress(runs, start[Global.DATUM], lambda s: spline.basis(np.clip(s - d, 0, knots[-1])), held)
-    K, coefficients = float(found[0]), found[1:].copy()
+    prior_rows = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)
+    solution, _ = regress(runs, start[Global.DATUM], lambda s: spline.basis(np.clip(s - d, 0, knots[-1])), prior_rows)
+    K, coefficients = float(solution[0]), solution[1:].copy()
     if not (K > 0 and np.median(coefficients) > 0):
         return None
     if d == 0.0:
         loads = [
-            K * (break_away_position(run.motion, run.cut) - own[Global.DATUM]) + own[Global.DAMPING] * own[Global.V_DR]
-            for run, own in zip(runs, start.reshape(-1, PER_RUN), strict=True)
+            K * (break_away_position(run.motion, run.cut) - u[Global.DATUM]) + u[Global.DAMPING] * u[Global.V_DR]
+            for run, u in zip(runs, start.reshape(-1, PER_RUN), strict=True)
         ]
         low = max(3, int(np.sum(knots < LOW_SPEED * knots[-1])) + 1)
         coefficients[:low] = np.linspace(float(np.median(loads)), coefficients[low], low, endpoint=False)
@@ -160,17 +160,17 @@ def regressed_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -
 
 
 class Model:
-    """A task's predictions; a force by velocity acts along the motion itself, others along an earlier path, `near`."""
+    """A task's predictions; a force by velocity acts along the motion itself, others along the `earlier_path`."""
 
     def __init__(
         self,
         task: Task,
         windows: ShootingWindows,
         longest_step: float,
-        near: Path | None = None,
+        earlier_path: Path | None = None,
         count: Array | None = None,
     ) -> None:
-        self.task, self.windows, self.longest_step, self.near = task, windows, longest_step, near
+        self.task, self.windows, self.longest_step, self.earlier_path = task, windows, longest_step, earlier_path
         self._size = None if count is None else np.sqrt(count)
         fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
         self._tables = [force.departure.drag_table(fastest) for force in task.forces]
@@ -185,10 +185,10 @@ class Model:
     def settle(self, q: Array, local: Array, times: int) -> None:
         """Evaluate forces along the path of these unknowns, repeated ``times`` as they change the path."""
         for _ in range(times if self.along else 0):
-            found = self.path(q, local)
-            if found is None:
+            path = self.path(q, local)
+            if path is None:
                 return
-            self.near, self._last = found, None
+            self.earlier_path, self._last = path, None
 
     def path(self, q: Array, local: Array) -> Path | None:
         u, theta, sizes = self.task.split(q)
@@ -201,8 +201,8 @@ class Model:
     def motion_in(self, windows: ShootingWindows, q: Array, local: Array, run: int | None) -> Array | None:
         """Return positions, m, and velocities, m/s, (2, N) in windows of all runs, or of one."""
         u, theta, _ = self.task.split(q)
-        curve, own = self._curve(q, theta), u if run is None else u[PER_RUN * run : PER_RUN * (run + 1)]
-        path = None if curve is None else follow(windows, curve, own, local)
+        curve, u_of_run = self._curve(q, theta), u if run is None else u[PER_RUN * run : PER_RUN * (run + 1)]
+        path = None if curve is None else follow(windows, curve, u_of_run, local)
         return None if path is None else np.array([path.position, path.velocity])[:, path.reached]
 
     def loop(self, windows: ShootingWindows, q: Array, local: Array, run: int | None, cycle: int) -> Array | None:
@@ -213,13 +213,13 @@ class Model:
         if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):
             return self._last[2]
         u, theta, sizes = self.task.split(q)
-        curve, found = self._curve(q, theta), None
+        curve, residual = self._curve(q, theta), None
         if curve is not None:
             acting, reading = self._acting(sizes)
-            found = positions(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
-            found = None if found is None else found + reading - self.windows.position
-        self._last = q.copy(), local.copy(), found
-        return found
+            residual = positions(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
+            residual = None if residual is None else residual + reading - self.windows.position
+        self._last = q.copy(), local.copy(), residual
+        return residual
 
     def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
         """As `fitting.least_squares.normal_equations.Evaluate`; rows are weighted by the root of their count."""
@@ -231,44 +231,44 @@ class Model:
         residual = self.residual(q, local)
         if residual is None:
             return None
-        found = None if derive is None else derive(q, local)
-        return residual if self._size is None else residual * self._size, found
+        derivatives = None if derive is None else derive(q, local)
+        return residual if self._size is None else residual * self._size, derivatives
 
-    def some(self, q: Array, cycles: Integers) -> Evaluate:
+    def evaluate_cycles(self, q: Array, cycles: Integers) -> Evaluate:
         """Return an evaluation of the own unknowns of these cycles alone, with q fixed."""
-        part = Model(self.task, self.windows.some(cycles), self.longest_step)
+        model = Model(self.task, self.windows.of_cycles(cycles), self.longest_step)
         if self._size is not None:
-            part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
+            model._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
 
-        derive = partial(part.derivatives, columns=local_tangents)
-        return lambda _, local, derivatives: part._evaluate_by(derive if derivatives else None, q, local)
+        derive = partial(model.derivatives, columns=local_tangents)
+        return lambda _, local, derivatives: model._evaluate_by(derive if derivatives else None, q, local)
 
     def path_in(self, block: Block, q: Array, local: Array) -> Path | None:
         if self.along or block.rows == slice(0, self.windows.time.size):
             return self.path(q, local)
         cycles = np.arange(block.cycles.start, block.cycles.stop)
-        return Model(self.task, self.windows.some(cycles), self.longest_step).path(q, local[block.cycles])
+        return Model(self.task, self.windows.of_cycles(cycles), self.longest_step).path(q, local[block.cycles])
 
     def all_derivatives(self, q: Array, local: Array) -> Derivatives:
         return self.derivatives(q, local, partial(self._columns, q=q))
 
     def derivatives(self, q: Array, local: Array, columns: Callable[[Path], Array]) -> Derivatives:
         """Return the derivatives of the positions, ``columns`` (n, k) of the path of each block."""
-        whole = Block(slice(0, len(self.windows.rows)), slice(0, self.windows.time.size))
+        all_cycles = Block(slice(0, len(self.windows.rows)), slice(0, self.windows.time.size))
         return Derivatives(
-            (whole,) if self.along else self.windows.blocks, partial(self._derive_block, q, local, columns)
+            (all_cycles,) if self.along else self.windows.blocks, partial(self._derive_block, q, local, columns)
         )
 
     def _derive_block(self, q: Array, local: Array, columns: Callable[[Path], Array], block: Block) -> Array | None:
         path = self.path_in(block, q, local)
-        part = None if path is None else columns(path)
-        return part if part is None or self._size is None else part * self._size[block.rows, None]
+        jacobian = None if path is None else columns(path)
+        return jacobian if jacobian is None or self._size is None else jacobian * self._size[block.rows, None]
 
     def _columns(self, path: Path, q: Array) -> Array:
         _, theta, sizes = self.task.split(q)
         parts = [self.task.curve.columns(path, theta, self.task.places)]
         for forcing in self._forcings(path, sizes):
-            width = next(part.shape[1] for part in forcing if part is not None)
+            width = next(column.shape[1] for column in forcing if column is not None)
             if forcing.acceleration is None and forcing.belt_speed is None and forcing.reading is not None:
                 parts.append(forcing.reading)
                 continue
@@ -284,17 +284,17 @@ class Model:
 
     def _motion_along(self) -> FittedMotion | None:
         """Return the motion along which forces act; None without forces, or before the first path."""
-        if self.near is None or not self.along:
+        if self.earlier_path is None or not self.along:
             return None
-        if self._along is None or self._along[0] is not self.near:
-            self._along = self.near, self._motion(self.near)
+        if self._along is None or self._along[0] is not self.earlier_path:
+            self._along = self.earlier_path, self._motion(self.earlier_path)
         return self._along[1]
 
     def _forcings(self, path: Path, sizes: Array) -> list[Forcing]:
         if not self.task.forces:
             return []
         motion = self._motion(path)
-        return [one for force, own in self._sizes(sizes) for one in force.derivatives(motion, own)]
+        return [forcing for force, size in self._sizes(sizes) for forcing in force.derivatives(motion, size)]
 
     def _sizes(self, sizes: Array) -> list[tuple[Force, Array]]:
         ends = np.cumsum([force.width for force in self.task.forces]).tolist()
@@ -302,21 +302,21 @@ class Model:
 
     def _acting(self, sizes: Array) -> tuple[dict[str, Any], Array | float]:
         """Return the forces' contribution to a path, as arguments of `follow`, and to the reading, m."""
-        more: dict[str, Any] = {}
+        arguments: dict[str, Any] = {}
         reading: Array | float = 0.0
         motion = self._motion_along()
-        for (force, own), table in zip(self._sizes(sizes), self._tables, strict=True):
+        for (force, size), table in zip(self._sizes(sizes), self._tables, strict=True):
             if force.departure.drag is not None:
-                more["drag"] = table._replace(acceleration=float(own[0]) * table.acceleration)
+                arguments["drag"] = table._replace(acceleration=float(size[0]) * table.acceleration)
                 continue
             if motion is None:
                 continue
-            more["along"] = self.near
-            forcing, coefficients = force.forcing(motion, own), force.coefficients(own)
+            arguments["along"] = self.earlier_path
+            forcing, coefficients = force.forcing(motion, size), force.coefficients(size)
             for name in ("acceleration", "belt_speed"):
-                part = getattr(forcing, name)
-                if part is not None:
-                    more[name] = more.get(name, 0.0) + np.einsum("mk,k->m", part, coefficients)
+                effect = getattr(forcing, name)
+                if effect is not None:
+                    arguments[name] = arguments.get(name, 0.0) + np.einsum("mk,k->m", effect, coefficients)
             if forcing.reading is not None:
                 reading = reading + np.einsum("nk,k->n", forcing.reading, coefficients)
-        return more, reading
+        return arguments, reading

@@ -1,6 +1,7 @@
-"""Tangents: derivatives of the position along a path by anything that acts on the mass, the belt or the reading.
+"""Tangents: derivatives of the position along a path by effects on the mass, the belt or the reading.
 
-`tangents` integrates any columns; the others make those of a fit's unknowns: shared, the cycles' own, a spline's.
+`tangents` integrates any columns; the other functions compute the columns of a fit's unknowns: shared, the cycles', a
+spline's.
 
 A departure or a parameter p is a column: the acceleration a_p (m/s^2) and the change of the belt's speed b_p (m/s) that
 one unit of it makes at every point of a path.  With K = k/m, c/m (and the slope of a drag) and the slope
@@ -10,8 +11,8 @@ of friction f' there,
     dx'  = b_p                                        stick
     dx'' = -K dx - (c + f') dx' + a_p + f' b_p        creep on a ramp, to first order in the acceleration dx''
 
-by the same Runge-Kutta steps as the path.  Where the mode changes, the change comes later or earlier by what the column
-does there, and dx' jumps (saltation).
+by the same Runge-Kutta steps as the path.  At a change of mode the column shifts the time of the change, and dx' jumps
+(saltation).
 
 Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of Non-smooth Mechanical Systems (2004), 7.2.
 """
@@ -83,7 +84,7 @@ def tangents(
 def integrate(
     first_step: Integers,
     table: Integers,
-    own: Array,
+    stiffness: Array,
     steps: Integers,
     jumps: Array,
     mode: Integers,
@@ -101,13 +102,13 @@ def integrate(
 ) -> None:
     """Integrate all columns through all windows; fill ``out`` (N, k).  ``room`` (6, k) is scratch space.
 
-    ``own`` (windows,) is K of each window's run, 1/s^2; ``acceleration`` (k, M) is contiguous.
+    ``stiffness`` (windows,) is K of each window's run, 1/s^2; ``acceleration`` (k, M) is contiguous.
     """
     k = out.shape[1]
     x, v = room[0], room[1]
     g0, gm, g1, late = room[2], room[3], room[4], room[5]
     for row in range(table.shape[0]):
-        K = own[row]
+        K = stiffness[row]
         first = table[row, 2]
         for j in range(k):
             x[j], v[j] = start_x[row, j], start_v[row, j]
@@ -182,7 +183,7 @@ def local_tangents(path: Path) -> Array:
     x, v = np.zeros((2, stick.size, PER_CYCLE))
     x[:, PerCycle.X_SLIP], x[:, PerCycle.X_STICK] = ~stick, stick
     v[:, PerCycle.V_SLIP], v[:, PerCycle.V_STICK] = ~stick, stick
-    # what starts bound to the belt does not know a velocity of its own
+    # a window that starts in stick does not depend on its start velocity
     v[path.stuck[path.first_point[:-1]]] = 0.0
     return tangents(path, acceleration, start=(x, v))
 
@@ -222,10 +223,10 @@ def spline_tangents(path: Path, directions: Array) -> Array:
 
 
 def friction_effect(path: Path) -> tuple[Array, Array, Array]:
-    """Return the effects of a unit of friction per unit mass where a spline is followed.
+    """Return the effects of a unit of friction per unit mass of a spline.
 
-    On the acceleration, of friction at each point's slip speed; on the acceleration on a ramp and on the ramp's edge,
-    of friction at rest.
+    These are the effect on the acceleration of friction at each point's slip speed, and the effects of friction at rest
+    on the acceleration on a ramp and on the ramp's edge.
     """
     d, q, at_rest = _contact(path)
     in_slip = np.broadcast_to(path.level * path.side * _yielding(path), path.time.shape)
@@ -244,10 +245,10 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
     K, F, compliance = path.unknown(Global.K), np.exp(path.unknown(Global.LOG_F)), path.unknown(Global.COMPLIANCE)
     _, q, at_rest = _contact(path)
     slips, friction, bound = path.slips, path.friction, path.mode == STICK
-    # by q, the speed that the belt loses under the load F, at a given relative speed; and q by the slots that change it
+    # derivatives by q, the speed that the belt loses under the load F, at a given relative speed; and of q by the slots
     by_q_of: dict[int, Array | float] = {}
     if Global.COMPLIANCE in slots or np.any(compliance):
-        n = np.abs(friction) / np.maximum(path.level * F, 1e-300)  # a search may come to no friction at all
+        n = np.abs(friction) / np.maximum(path.level * F, 1e-300)  # friction may vanish in a search
         by_q = _by_width(path) * np.where(slips, n, at_rest)
         by_q_of = {Global.K: -compliance * F / K**2, Global.LOG_F: q, Global.COMPLIANCE: F / K}
     forces = np.zeros((len(slots), path.time.size))
@@ -285,10 +286,10 @@ def _by_width(path: Path) -> Array:
     """Return the effect of the ramp's half-width d on the acceleration at fixed relative speed, 1/s, (M,)."""
     d, q, at_rest = _contact(path)
     ramp = ~path.slips & (path.mode != STICK)
-    found = np.where(path.slips, -path.side * path.friction_slope, 0.0)
+    effect = np.where(path.slips, -path.side * path.friction_slope, 0.0)
     width = np.broadcast_to(np.maximum(d + q * at_rest, 1e-300), ramp.shape)
-    found[ramp] = -path.friction[ramp] / width[ramp]
-    return found
+    effect[ramp] = -path.friction[ramp] / width[ramp]
+    return effect
 
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:
@@ -317,7 +318,7 @@ def _loss(path: Path) -> Array | float:
 
 
 def _yielding(path: Path) -> Array | float:
-    """Return 1/(1 + q n'), by which a compliant belt lowers the effect of a change of the curve; 1 on a stiff one."""
+    """Return 1/(1 + q n'), the factor by which a compliant belt reduces the effect of the curve; 1 on a stiff belt."""
     q = _loss(path)
     if not np.any(q):
         return 1.0

@@ -1,7 +1,8 @@
-"""Parameters of a fit: those that all cycles of a run share, and each cycle's own.
+"""Parameters of a fit: those shared by all cycles of a run, and each cycle's own.
 
-Several runs of one contact have thirteen shared ones each, end to end: `SHARED_BY_RUNS` are one number for all, copied
-from the first run to the others.  A *place* counts through all runs; a *slot* is a place within its run.
+For several runs of one contact the thirteen shared parameters of each run are concatenated.  `SHARED_BY_RUNS` are
+common to all runs, and copied from the first run.  A *place* is an index through all runs; a *slot* is an index within
+a run.
 """
 
 import math
@@ -63,24 +64,24 @@ class Values(NamedTuple):
 PER_RUN, PER_CYCLE = len(Global), len(PerCycle)
 RIPPLE = (Global.COSINE, Global.SINE, Global.OMEGA)
 SHARED_BY_RUNS = (Global.K, Global.LOG_F, Global.SHAPE, Global.D, Global.DAMPING, Global.STATIC)
-NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPLE)  # every law has them: no law pays
+NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPLE)  # common to all laws: not penalised
 
 
 def active_places(kind: Law, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
     """Return the places of a law's parameters; a ramp on a compliant belt breaks away at the level of slip."""
     shape = () if kind.curve == "constant" else (Global.SHAPE,)
     ramp = () if kind.contact == "jump" else (Global.D,) if any(compliant) else (Global.D, Global.STATIC)
-    found = [int(slot) for slot in (Global.K, Global.LOG_F, *shape, *ramp, Global.DAMPING)]
+    places = [int(slot) for slot in (Global.K, Global.LOG_F, *shape, *ramp, Global.DAMPING)]
     for run, (slows, ripples) in enumerate(zip(compliant, rippled, strict=True)):
         belt = (*((Global.COMPLIANCE,) if slows else ()), *(RIPPLE if ripples else ()))
-        own = (Global.V_DR, Global.DATUM, Global.FADE, *belt)
-        found += [PER_RUN * run + slot for slot in own]
-    return tuple(sorted(found))
+        of_run = (Global.V_DR, Global.DATUM, Global.FADE, *belt)
+        places += [PER_RUN * run + slot for slot in of_run]
+    return tuple(sorted(places))
 
 
 def values(u: Array) -> Values:
-    K, log_F, *others = (float(value) for value in u)
-    return Values(K, math.exp(log_F), *others)
+    K, log_F, *rest = (float(value) for value in u)
+    return Values(K, math.exp(log_F), *rest)
 
 
 def to_array(p: Values) -> Array:
@@ -98,6 +99,6 @@ def columns(places: Sequence[int], runs: int) -> Integers:
 
 def copy_shared(u: Array) -> Array:
     """Return the parameters of all runs (13 runs,) with the shared ones copied from the first."""
-    whole = u.reshape(-1, PER_RUN).copy()
-    whole[:, SHARED_BY_RUNS] = whole[0, SHARED_BY_RUNS]
-    return whole.ravel()
+    by_run = u.reshape(-1, PER_RUN).copy()
+    by_run[:, SHARED_BY_RUNS] = by_run[0, SHARED_BY_RUNS]
+    return by_run.ravel()

@@ -1,4 +1,4 @@
-r"""Cuts a record into cycles: window A from break-away to mid-stick, window B from there to the next break-away.
+r"""Division of a record into cycles: window A from break-away to mid-stick, window B from there to the next break-away.
 
 ::
 
@@ -8,12 +8,12 @@ r"""Cuts a record into cycles: window A from break-away to mid-stick, window B f
              \__________/          |         \___
           |<------- A ------------>|<-- B -->|  |<-- A of the next cycle
 
-The break-away is random and falls into no window: window B ends a tenth of a slip before it and window A starts once
-the mass has left the belt by a twentieth of its speed.  A *cycle* is a break-away with the B before it and the A after
-it; both share one kinetic level, because the level is drawn anew at each landing.
+The break-away is random and in no window: window B ends a tenth of a slip before it, and window A starts when the mass
+is slower than the belt by a twentieth of its speed.  A *cycle* is a break-away with the window B before it and the
+window A after it.  Both have the same kinetic level, because the level is new after each landing.
 
-The velocity alone decides, also where the smoother has fitted corners (`Kinematics.corners`): methods without corners,
-and a mass that only grazes the belt (laws 1 and 2), show nothing else, and one rule serves all.
+Only the velocity is used, even if the smoother has fitted corners (`Kinematics.corners`): methods without corners, and
+a mass that only grazes the belt (laws 1 and 2), have nothing else.
 """
 
 import math
@@ -27,37 +27,37 @@ from fitting.record.motion import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, Measur
 from stickslip.compute.arrays import Array, Mask, runs
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
-BEFORE_BREAK_AWAY = 0.1  # left out before a break-away, where a smoothed corner is random in camera tracks
+BEFORE_BREAK_AWAY = 0.1  # omitted before a break-away, where the smoothed corner of camera tracks is random
 LEFT_BELT_BY = 0.05  # speed below the belt's, over it, at which a slip's window begins
 OVERTAKES_BY = 0.02  # speed above the plateau, over the belt's, at which the mass overtakes it
-LONGEST_TURN = 1.0  # time at rest: for longer, a mass stands on a belt that stands; a sliding mass only turns there
+LONGEST_TURN = 1.0  # time at rest, above which the belt stands; a sliding mass is at rest only while it turns
 ROUNDING = 1e-3  # rounding of times over the usual interval: 1e-6 after a week at 10 kHz
-FEWEST_AT_REST = 8  # samples of a line that shows rest
-WIDEST_SLACK = 0.25  # error of that slope, over the belt's speed, from which it shows nothing
-SCATTER_AT_REST = 2.0  # scatter about that line over the noise: more is motion
-SUSTAINED_SHARE = 0.15  # share of the record in plateaus: below it the mass only grazes the belt
-SLIP_DECELERATION = 4.0  # over the deceleration in stick: dragged on a ramp a mass has up to 3, in a slip 5
+FEWEST_AT_REST = 8  # samples needed to fit a line that detects rest
+WIDEST_SLACK = 0.25  # error of that line's slope, over the belt's speed, above which rest cannot be detected
+SCATTER_AT_REST = 2.0  # scatter about that line over the noise, above which the mass moves
+SUSTAINED_SHARE = 0.15  # share of the record in sticks, below which the mass only grazes the belt
+SLIP_DECELERATION = 4.0  # over `STILL_ACCELERATION`, above which a drag is a slip: dragged on a ramp 3, in a slip 5
 MOST_CYCLES = 200  # cycles fitted; with as many the errors of calibrations are usually larger than those of the fit
-STILL_ACCELERATION = 0.05  # acceleration over a slip's: with less the mass sticks, or crosses the top of a sine
+STILL_ACCELERATION = 0.05  # acceleration over a slip's, below which the mass sticks or crosses the top of a sine
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """One break-away and what surrounds it; sample ranges are half open, and empty where a window is missing."""
+    """One break-away and its windows; sample ranges are half open, and empty where a window is missing."""
 
     number: int  # 1, 2, 3 ... in order of time.
-    break_away: float  # Break-away and return to the belt, s, as the smoothed motion shows them
+    break_away: float  # break-away and return to the belt, s, of the smoothed motion
     landing: float
     stick: tuple[int, int]  # (first, end) samples of window B (before the break-away) and window A (after it)
     slip: tuple[int, int]
-    overtakes: bool = False  # after landing: a slip that returns with more load than the belt can hold
+    overtakes: bool = False  # the belt after landing, with more load than friction holds
     flag: str = ""  # why it is not used: "gap", "rest" (the belt stood), "excluded", "short", "surplus"; or ""
 
 
 @dataclass(frozen=True)
 class CycleSegmentation:
     cycles: tuple[Cycle, ...]  # in order of time, used or not
-    plateau_fraction: float  # share of the record spent in stick, the drag of the start-up and rests left out
+    plateau_fraction: float  # share of the record spent in stick, without the drag of the start-up and rests
     starts_at_rest: bool  # whether the record begins before the belt does
     drag: tuple[int, int]  # (first, end) samples of the start-up drag; empty when the record does not begin at rest
 
@@ -67,7 +67,7 @@ class CycleSegmentation:
 
     @property
     def shows_belt(self) -> bool:
-        """Whether the mass moves with the belt at any time: in sticks, or in the drag of the start-up."""
+        """Whether the mass moves with the belt at any time: in sticks, or in the start-up drag."""
         return self.sustained or (self.uses_start and self.drag != (0, 0))
 
     @property
@@ -85,53 +85,55 @@ class CycleSegmentation:
 
 
 def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
-    """Divide a record into cycles, none where the mass never falls below half the belt's speed."""
+    """Divide a record into cycles; none if the mass is never slower than half the belt's speed."""
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size
     shortest = max(3, round(SHORTEST_PHASE * motion.slip_s / float(np.median(np.diff(time)))))
-    slow = [(i, j) for i, j in runs(v < SLIP_SPEED * motion.belt_speed) if j - i >= shortest]
-    if not slow:
+    slips = [(i, j) for i, j in runs(v < SLIP_SPEED * motion.belt_speed) if j - i >= shortest]
+    if not slips:
         return CycleSegmentation((), 0.0, False, (0, 0))
     at_rest = np.abs(v) < REST_SPEED * motion.belt_speed
-    starts_at_rest = slow[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slow[0][1]))
+    starts_at_rest = slips[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slips[0][1]))
     rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > LONGEST_TURN * motion.slip_s]
     slipping = np.zeros(n, np.bool_)
-    for stretch in slow:
+    for stretch in slips:
         slipping[slice(*stretch)] = True
     for stretch in rests:
         slipping[slice(*stretch)] = False
     strongest = float(np.percentile(np.abs(a[slipping]), 95)) if slipping.any() else 0.0
-    still = STILL_ACCELERATION * strongest
+    threshold = STILL_ACCELERATION * strongest
 
-    begins, ends = zip(*slow, strict=True)
-    onsets, landings = _onsets(a, begins, still), _landings(a, ends, still)
-    if starts_at_rest and len(slow) > 1:
-        onsets[1:2] = _onsets(a, begins[1:2], still + _creep(motion, landings[0], begins[1], still))
+    begins, ends = zip(*slips, strict=True)
+    onsets, landings = _onsets(a, begins, threshold), _landings(a, ends, threshold)
+    if starts_at_rest and len(slips) > 1:
+        onsets[1:2] = _onsets(
+            a, begins[1:2], threshold + _creep_deceleration(motion, landings[0], begins[1], threshold)
+        )
     resting = _overlap(onsets, landings, rests)
     sticks = list(zip(landings, [*onsets[1:], n], strict=True))
     middles = [(i + j) // 2 for i, j in sticks]
 
     cycles: list[Cycle] = []
     drag = (0, 0)
-    for k, (begin, end) in enumerate(slow):
+    for k, (begin, end) in enumerate(slips):
         if k == 0 and begin == 0:
             continue  # the start-up, or a slip whose beginning was not recorded
         onset = onsets[k]
         last = _sample_from(motion, time[onset] - BEFORE_BREAK_AWAY * motion.slip_s)
         if k == 0:
-            first = _calm(motion, onset, still)
+            first = _find_calm(motion, onset, threshold)
         elif k == 1 and starts_at_rest:
             settle = max(SHORTEST_PHASE * motion.slip_s, motion.half_window)
             first = _sample_from(motion, time[min(landings[0], n - 1)] + settle)
         else:
-            first = _sticking(motion, middles[k - 1], last)
+            first = _find_stick(motion, middles[k - 1], last)
         stick = (first, last) if last - first >= shortest else (onset, onset)
         if motion.broken[stick[0] + 1 : stick[1]].any():
             stick = (onset, onset)
         if k == 1 and starts_at_rest and stick[1] > stick[0]:
             drag = stick
-        left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_BELT_BY * motion.belt_speed))
-        slip = (left, min(middles[k], n))
+        slip_begin = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_BELT_BY * motion.belt_speed))
+        slip = (slip_begin, min(middles[k], n))
         if end >= n or landings[k] >= n:
             continue  # the record ends inside this slip
         flag = ""
@@ -154,13 +156,15 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     )
     first = min(sticks[0][1], n - 1) if starts_at_rest else 0
     span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
-    return CycleSegmentation(_spread(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
+    return CycleSegmentation(_flag_surplus(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
 
 
-def _spread(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
+def _flag_surplus(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
     used = [k for k, cycle in enumerate(cycles) if not cycle.flag]
-    kept = {used[k] for k in np.linspace(0, len(used) - 1, min(MOST_CYCLES, len(used))).round().astype(int)}
-    return tuple(cycle if cycle.flag or k in kept else replace(cycle, flag="surplus") for k, cycle in enumerate(cycles))
+    chosen = {used[k] for k in np.linspace(0, len(used) - 1, min(MOST_CYCLES, len(used))).round().astype(int)}
+    return tuple(
+        cycle if cycle.flag or k in chosen else replace(cycle, flag="surplus") for k, cycle in enumerate(cycles)
+    )
 
 
 def _sample_from(motion: MeasuredMotion, time: float) -> int:
@@ -181,53 +185,53 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
     return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
 
 
-def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
-    """Return the first sample of the initial plateau, without a start-up too short to be a slip."""
-    restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > still)
+def _find_calm(motion: MeasuredMotion, onset: int, threshold: float) -> int:
+    """Return the first sample of the initial stick, after a start-up too short to be a slip."""
+    restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > threshold)
     if not restless.size:
         return 0
     return _sample_from(motion, motion.time[restless[-1]] + motion.half_window)
 
 
-def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
+def _find_stick(motion: MeasuredMotion, middle: int, last: int) -> int:
     """Return the first stick sample from ``middle`` on: a long overtaking may last past the middle."""
     v = motion.velocity[middle:last]
     if v.size < 4:
         return middle
-    fast = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKES_BY * motion.belt_speed)
-    if not fast.size:
+    fast_samples = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKES_BY * motion.belt_speed)
+    if not fast_samples.size:
         return middle
-    return _sample_from(motion, motion.time[middle + fast[-1]] + motion.half_window)
+    return _sample_from(motion, motion.time[middle + fast_samples[-1]] + motion.half_window)
 
 
 def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
     """Return whether the velocity after the landing peaks above the plateau by more than smoothing explains."""
-    early = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
-    settled = motion.velocity[(early + end) // 2 : end]
-    if settled.size < 3 or early >= end:
+    begin = _sample_from(motion, motion.time[landing] + 2 * motion.half_window)
+    settled_velocity = motion.velocity[(begin + end) // 2 : end]
+    if settled_velocity.size < 3 or begin >= end:
         return False
-    peak = float(motion.velocity[early : (early + end) // 2].max(initial=-np.inf))
-    return peak - float(np.median(settled)) > OVERTAKES_BY * motion.belt_speed
+    peak = float(motion.velocity[begin : (begin + end) // 2].max(initial=-np.inf))
+    return peak - float(np.median(settled_velocity)) > OVERTAKES_BY * motion.belt_speed
 
 
-def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> float:
+def _creep_deceleration(motion: MeasuredMotion, landing: int, begin: int, threshold: float) -> float:
     """Return the deceleration, m/s^2, while the belt drags the mass from rest to ``begin``; 0 where it is a slip's."""
     first = _sample_from(motion, motion.time[landing] + max(SHORTEST_PHASE * motion.slip_s, motion.half_window))
-    part = motion.acceleration[first : (first + begin) // 2]
-    slowing = -float(np.median(part)) if part.size else 0.0
-    return slowing if still < slowing < SLIP_DECELERATION * still else 0.0
+    decelerations = motion.acceleration[first : (first + begin) // 2]
+    slowing = -float(np.median(decelerations)) if decelerations.size else 0.0
+    return slowing if threshold < slowing < SLIP_DECELERATION * threshold else 0.0
 
 
-def _onsets(a: Array, begins: Sequence[int], still: float) -> list[int]:
+def _onsets(a: Array, begins: Sequence[int], threshold: float) -> list[int]:
     """Return the last samples before ``begins`` without deceleration, or 0."""
-    steady = np.concatenate(([0], np.flatnonzero(a > -still)))
-    return [int(i) for i in steady[np.searchsorted(steady, begins, side="right") - 1]]
+    steady_samples = np.concatenate(([0], np.flatnonzero(a > -threshold)))
+    return [int(i) for i in steady_samples[np.searchsorted(steady_samples, begins, side="right") - 1]]
 
 
-def _landings(a: Array, ends: Sequence[int], still: float) -> list[int]:
+def _landings(a: Array, ends: Sequence[int], threshold: float) -> list[int]:
     """Return the first samples from ``ends`` on without acceleration, or the record's length."""
-    steady = np.append(np.flatnonzero(a < still), a.size)
-    return [int(i) for i in steady[np.searchsorted(steady, ends)]]
+    steady_samples = np.append(np.flatnonzero(a < threshold), a.size)
+    return [int(i) for i in steady_samples[np.searchsorted(steady_samples, ends)]]
 
 
 def _overlap(begins: Sequence[int], ends: Sequence[int], rests: Sequence[tuple[int, int]]) -> Mask:

@@ -1,18 +1,18 @@
-"""The measured motion as the fit sees it, and what the record shows of belt speed, compliance and slip duration.
+"""The measured motion in the fit's frame; belt speed, compliance and slip duration from the record.
 
 Frame: metres, seconds from the record's first sample, a belt that runs towards +x.  A record of a backward belt is
-mirrored; the physics is odd, so the same fit serves both.  Samples that the smoothing left out as faults of the sensor
-are not in it, and steps of the position that it found are taken out.
+mirrored; the physics is odd, so the same fit applies.  Samples that smoothing excluded as faults of the sensor are
+omitted, and steps of the position that it found are removed.
 
 Belt line.  A belt that slows in proportion to its load loses ``compliance`` metres a second per metre of spring
 extension.  In stick the load is the spring force, so the belt's velocity against the mass's position is a line of slope
--compliance, whatever the friction law; the fit uses it as a prior.  Its error is the larger of two: for residuals
+-compliance, independent of the friction law; the fit uses it as a prior.  Its error is the larger of two: for residuals
 correlated within a smoothing window, and within a stick.  Not modelled: a compliance that is not proportional to the
 load, or lags it.
 
-Slip duration.  Seen from a frame that moves at half the belt's speed, a stick rises and a slip falls.  The slip is
-longer than the fall by what a harmonic motion of the same height takes between that speed and the belt's.  Turns, not
-velocities, are looked for, so that one sample in a stick and four in a slip are enough.
+Slip duration.  In a frame that moves at half the belt's speed, the position rises in a stick and falls in a slip.  The
+slip is longer than the fall by the time of a harmonic motion of the same height between that speed and the belt's.
+Turning points, not velocities, are used, so one sample in a stick and four in a slip are enough.
 """
 
 import math
@@ -32,12 +32,12 @@ from stickslip.compute.arrays import HOLE, Array, runs
 from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
-COMPLIANCE_SHOWN = 3.0  # standard errors of the slope: a belt with a smaller one is taken as stiff
+COMPLIANCE_SHOWN = 3.0  # slope in standard errors, below which the belt is stiff
 # Standard deviation of an unknown rest position over the travel, about where friction is nowhere negative: with 3,
-# which allows any fall of friction, a ramp's width is unknown that a record shows to a tenth.
+# which allows any fall of friction, the width of a ramp that a record determines to a tenth is unconstrained.
 REST_SD = 0.5
 LEAST_VARIATION = 2e-3  # residual variation, over the belt's speed, that gives a warning
-VARIATION_SHOWN = 2.0  # residual variation over what counting alone shows: less is none
+VARIATION_SHOWN = 2.0  # residual variation over that from counting alone, below which there is none
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class BeltLine:
     speed: Measured  # m/s, signed, at ``middle``: errors of speed and slope are then independent
     slope: Measured  # d(velocity)/d(position), 1/s; -compliance
     middle: float  # m, the mean position of the samples
-    speed_variation: float  # m/s, root mean square of what the line leaves, less the noise of counting
+    speed_variation: float  # m/s, rms residual of the line, less the noise of counting
 
     @property
     def slows_under_load(self) -> bool:
@@ -70,60 +70,60 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     if velocity is None or errors is None:
         return None
     half = kinematics.window // 2
-    parts = [np.arange(stick.first + half, stick.last + 1 - half) for stick in kinematics.sticks]
-    parts = [part for part in parts if part.size > kinematics.window]
-    if not parts:
+    sticks = [np.arange(stick.first + half, stick.last + 1 - half) for stick in kinematics.sticks]
+    sticks = [samples for samples in sticks if samples.size > kinematics.window]
+    if not sticks:
         return None
-    index = np.concatenate(parts)
+    index = np.concatenate(sticks)
     x, v = kinematics.steady_position[index], velocity[index]
     middle = float(x.mean())
     columns = np.c_[np.ones_like(x), x - middle]
     line, rest = least_squares(columns, v)
-    spread = np.maximum(_alike_in_windows(columns, rest, kinematics.window), _alike_in_sticks(columns, rest, parts))
+    spread = np.maximum(_errors_by_window(columns, rest, kinematics.window), _errors_by_stick(columns, rest, sticks))
     noise = float(np.sqrt(np.mean(errors[index] ** 2)))
-    seen = float(np.sqrt(np.mean(rest**2)))
-    variation = math.sqrt(max(seen**2 - noise**2, 0.0)) if seen > VARIATION_SHOWN * noise else 0.0
+    residual_rms = float(np.sqrt(np.mean(rest**2)))
+    variation = math.sqrt(max(residual_rms**2 - noise**2, 0.0)) if residual_rms > VARIATION_SHOWN * noise else 0.0
     pitch = kinematics.recording.rig.belt_metres_per_count
     scale = 0.0 if pitch is None else abs(pitch.sd / pitch.value)
     speed = Measured(float(line[0]), math.hypot(float(spread[0]), scale * float(line[0])))
     return BeltLine(speed, Measured(float(line[1]), float(spread[1])), middle, variation)
 
 
-def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:
+def _errors_by_window(columns: Array, rest: Array, window: int) -> Array:
     """Return standard errors for residuals correlated over ``window`` samples; orthogonal columns."""
     square = float(np.sum(rest**2)) / max(rest.size / window - 2, 1)
     return np.asarray(np.sqrt(square / np.sum(columns**2, axis=0)))
 
 
-def _alike_in_sticks(columns: Array, rest: Array, parts: list[NDArray[np.int64]]) -> Array:
+def _errors_by_stick(columns: Array, rest: Array, stick_samples: list[NDArray[np.int64]]) -> Array:
     """Return standard errors for residuals correlated within a stick; orthogonal columns."""
-    ends = np.cumsum([part.size for part in parts])[:-1]
-    pushes = np.array([np.sum(part, axis=0) for part in np.split(columns * rest[:, None], ends)])
-    few = len(parts) / max(len(parts) - 1, 1)
-    return np.asarray(np.sqrt(few * np.sum(pushes**2, axis=0)) / np.sum(columns**2, axis=0))
+    ends = np.cumsum([stick.size for stick in stick_samples])[:-1]
+    gradients = np.array([np.sum(block, axis=0) for block in np.split(columns * rest[:, None], ends)])
+    correction = len(stick_samples) / max(len(stick_samples) - 1, 1)
+    return np.asarray(np.sqrt(correction * np.sum(gradients**2, axis=0)) / np.sum(columns**2, axis=0))
 
 
-# Standard deviations of the difference of two readings: noise of 1,000 samples in a stick makes no turn as large.
+# Standard deviations of the difference of two readings: noise of 1,000 samples in a stick has no turn as large.
 TURN_ABOVE_NOISE = 6.0
 ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
 
 
 def slip_duration(time: Array, position: Array, noise: float) -> float:
-    """Return the usual duration of a slip, s; the whole record's without one.  ``noise`` is in m."""
-    least = TURN_ABOVE_NOISE * math.sqrt(2) * noise
-    rises = _way(position, least, 1)
+    """Return the median duration of a slip, s; the record's if there is none.  ``noise`` is in m."""
+    least_turn = TURN_ABOVE_NOISE * math.sqrt(2) * noise
+    rises = _list_rises(position, least_turn, 1)
     if not rises:
         return float(time[-1] - time[0])
     belt = float(np.median([_middle_speed(time[i : j + 1], position[i : j + 1]) for i, j in rises]))
-    falls = _way(position - 0.5 * belt * time, least, -1)
+    falls = _list_rises(position - 0.5 * belt * time, least_turn, -1)
     if not falls:
         return float(time[-1] - time[0])
-    slow = _middle_mean(np.array([time[j] - time[i] for i, j in falls]))
+    slow_duration = _middle_mean(np.array([time[j] - time[i] for i, j in falls]))
     height = float(np.median([np.ptp(position[i : j + 1]) for i, j in falls]))
     if height == 0:
         return float(time[-1] - time[0])
-    share = harmonic_share(belt * slow / height)
-    return slow * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(0.5 * share))
+    share = harmonic_share(belt * slow_duration / height)
+    return slow_duration * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(0.5 * share))
 
 
 def harmonic_share(ratio: float) -> float:
@@ -137,38 +137,38 @@ def harmonic_share(ratio: float) -> float:
     return share
 
 
-def _way(y: Array, least: float, way: int) -> list[tuple[int, int]]:
-    """Return first and last sample of each rise (``way`` 1) or fall (-1) between turns deeper than ``least``."""
-    turns = _turns(way * y, least)
+def _list_rises(y: Array, least_turn: float, direction: int) -> list[tuple[int, int]]:
+    """Return first and last sample of each rise (``direction`` 1) or fall (-1) between turns above ``least_turn``."""
+    turns = _turns(direction * y, least_turn)
     return [(i, j) for (i, top), (j, _) in pairwise(turns) if not top]
 
 
-def _turns(y: Array, least: float) -> list[tuple[int, bool]]:
-    """Return the samples where y turns by more than ``least``, each with whether it is a top."""
+def _turns(y: Array, least_turn: float) -> list[tuple[int, bool]]:
+    """Return the samples where y turns by more than ``least_turn``, each with whether it is a top."""
     rises = np.sign(np.diff(y))
-    places = np.flatnonzero(np.r_[True, rises[1:] != rises[:-1], True]).tolist()  # tops, feet and ends of equal values
+    samples = np.flatnonzero(np.r_[True, rises[1:] != rises[:-1], True]).tolist()  # tops, feet and ends of equal values
     turns: list[tuple[int, bool]] = []
-    top = foot = places[0]
-    for place in places:
-        value = y[place]
-        top = place if value > y[top] else top
-        foot = place if value < y[foot] else foot
+    top = foot = samples[0]
+    for sample in samples:
+        value = y[sample]
+        top = sample if value > y[top] else top
+        foot = sample if value < y[foot] else foot
         rising = not turns or not turns[-1][1]
         falling = not turns or turns[-1][1]
-        if rising and y[top] - value > least:
+        if rising and y[top] - value > least_turn:
             turns.append((top, True))
-            foot = place
-        elif falling and value - y[foot] > least:
+            foot = sample
+        elif falling and value - y[foot] > least_turn:
             turns.append((foot, False))
-            top = place
+            top = sample
     return turns
 
 
 def _middle_speed(time: Array, position: Array) -> float:
     height = np.maximum.accumulate(position)
     ends = []
-    for part in (0.25, 0.75):
-        level = position[0] + part * (position[-1] - position[0])
+    for share in (0.25, 0.75):
+        level = position[0] + share * (position[-1] - position[0])
         after = max(int(np.searchsorted(height, level)), 1)
         low, high = height[after - 1], height[after]
         ends.append(time[after - 1] + (time[after] - time[after - 1]) * (level - low) / (high - low))
@@ -176,14 +176,14 @@ def _middle_speed(time: Array, position: Array) -> float:
 
 
 def _middle_mean(values: Array) -> float:
-    """Return the mean of the middle half, which resolves finer than the median of whole samples."""
+    """Return the mean of the middle half, which has a finer resolution than the median of whole samples."""
     quarter = values.size // 4
     return float(np.mean(np.sort(values)[quarter : values.size - quarter]))
 
 
 SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
 REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
-SHORTEST_PHASE = 0.06  # shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a hole as long may hide one
+SHORTEST_PHASE = 0.06  # shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a longer hole may hide one
 GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
 
 
@@ -200,7 +200,7 @@ class MeasuredMotion:
     broken: NDArray[np.bool_]  # (n,) true where a sample does not follow the one before: gap, new segment or hole
     belt_speed: float  # m/s, > 0: a first value; the fit finds its own
     stated_speed: Measured | None  # m/s, in the record's own sign, whether used or not
-    # what the calibration knows: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m)
+    # calibrations: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m)
     belt_prior: Measured | None
     datum_prior: Measured | None
     damping_prior: Measured | None
@@ -215,11 +215,11 @@ class MeasuredMotion:
     samples_per_slip: float  # of the usual slip, from break-away to landing (`fitting.record.motion`)
     length_error: float = 0.0  # relative standard error of every length: that of the metres per count
     compliance: Measured | None = None  # belt speed lost per metre of spring stretch, 1/s, from the belt's counts
-    belt_measured: bool = False  # whether the belt's own counts are used: then a ramp cannot be a belt that slows
+    belt_measured: bool = False  # whether the belt's counts are used: then a ramp cannot be a belt that slows
     speed_variation: float = 0.0  # m/s rms that load does not explain; 0 where not significant
     counted: bool = False  # whether an encoder counted the positions; else a camera or another sensor measured them
-    rest_stated_as: str = "datum"  # what a stated rest position was stated as: "x0" or "datum"
-    begin: float = 0.0  # s; time of the record's first sample, as the record tells time
+    rest_stated_as: str = "datum"  # how a rest position was given: "x0" or "datum"
+    begin: float = 0.0  # s; time of the record's first sample on the record's clock
 
     @property
     def span(self) -> float:
@@ -253,40 +253,40 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     if isinstance(typed, Measured) and typed.value == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
-    kept = _kept(kinematics)
+    used = _mark_used(kinematics)
     begin = float(kinematics.time[0])
     time, position, velocity = (
-        kinematics.time[kept] - begin,
-        kinematics.steady_position[kept],
-        kinematics.velocity[kept],
+        kinematics.time[used] - begin,
+        kinematics.steady_position[used],
+        kinematics.velocity[used],
     )
     if np.ptp(position) < 20 * resolution:
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
         )
-    channel = _channel(kinematics, typed)
+    channel = _fit_channel_line(kinematics, typed)
     stated = typed if isinstance(typed, Measured) else rig.belt_speed
-    seen = speed_in_sticks(kinematics)
-    believed = stated if stated is not None and is_possible_speed(stated, seen) else None
-    speed = _belt_speed(kinematics, believed, seen, given=isinstance(typed, Measured))
+    stick_speed = speed_in_sticks(kinematics)
+    trusted_speed = stated if stated is not None and is_possible_speed(stated, stick_speed) else None
+    speed = _belt_speed(kinematics, trusted_speed, stick_speed, typed=isinstance(typed, Measured))
     sign = math.copysign(1.0, speed)
-    usual = float(np.median(np.diff(kinematics.time)))
+    usual_interval = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)
     slip = usual_slip(time, sign * position, sign * velocity < SLIP_SPEED * abs(speed))
-    # What smoothing leaves out as faults is in them: few samples a slip look like spikes.
+    # They include samples that smoothing excludes as faults: slips of few samples look like spikes.
     readings = recording.position - kinematics.offset
-    prior = believed
+    prior = trusted_speed
     if channel is not None:
         unknown = Measured(sign * float(np.min(sign * position)), REST_SD * float(np.ptp(position)))
         prior = channel.speed_without_load(unknown if rest is None else rest)
         prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
     return MeasuredMotion(
         time=time,
-        measured=sign * (kinematics.measured - (0.0 if kinematics.repaired else kinematics.offset))[kept],
+        measured=sign * (kinematics.measured - (0.0 if kinematics.repaired else kinematics.offset))[used],
         position=sign * position,
         velocity=sign * velocity,
-        acceleration=sign * kinematics.acceleration[kept],
-        broken=_broken(kinematics, usual, slip),
+        acceleration=sign * kinematics.acceleration[used],
+        broken=_mark_broken(kinematics, usual_interval, slip),
         belt_speed=abs(speed),
         stated_speed=stated,
         belt_prior=None if prior is None else Measured(abs(prior.value), prior.sd),
@@ -298,10 +298,10 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         sign=sign,
         resolution=resolution,
         step=step,
-        velocity_error=float(np.median(kinematics.velocity_errors[kept])),
-        half_window=kinematics.window * usual / 2,
+        velocity_error=float(np.median(kinematics.velocity_errors[used])),
+        half_window=kinematics.window * usual_interval / 2,
         slip_s=rounded_slip(slip),
-        samples_per_slip=slip_duration(kinematics.time, sign * readings, kinematics.noise) / usual,
+        samples_per_slip=slip_duration(kinematics.time, sign * readings, kinematics.noise) / usual_interval,
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
         if channel is not None and channel.slows_under_load
@@ -326,29 +326,29 @@ def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
     return float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
 
 
-def rounded_slip(usual: float) -> float:
+def rounded_slip(usual_slip_s: float) -> float:
     """Return a power of two, 0.55 to 1.1 times the usual slip, s: it scales times without rounding."""
-    return math.ldexp(1.0, round(math.log2(usual * math.pi / 4)))
+    return math.ldexp(1.0, round(math.log2(usual_slip_s * math.pi / 4)))
 
 
-def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:
-    kept = ~kinematics.missing
+def _mark_used(kinematics: Kinematics) -> NDArray[np.bool_]:
+    used = ~kinematics.missing
     for step in kinematics.losses:
-        kept[step.first : step.last] = False
-    return kept
+        used[step.first : step.last] = False
+    return used
 
 
-def _broken(kinematics: Kinematics, usual: float, slip: float) -> NDArray[np.bool_]:
-    """Return which kept samples do not follow the one before; ``usual`` interval and ``slip`` duration, s."""
-    time, kept = kinematics.time, _kept(kinematics)
-    new = (np.diff(time) > GAP_INTERVALS * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
-    piece = np.r_[0, np.cumsum(new)][kept]
+def _mark_broken(kinematics: Kinematics, interval: float, slip: float) -> NDArray[np.bool_]:
+    """Return which kept samples do not follow the one before; ``interval`` interval and ``slip`` duration, s."""
+    time, used = kinematics.time, _mark_used(kinematics)
+    new = (np.diff(time) > GAP_INTERVALS * interval) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
+    piece = np.r_[0, np.cumsum(new)][used]
     broken = np.ones(piece.size, np.bool_)
-    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, SHORTEST_PHASE * slip))
+    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[used]) > max(HOLE * interval, SHORTEST_PHASE * slip))
     return broken
 
 
-def _channel(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltLine | None:
+def _fit_channel_line(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltLine | None:
     """Return the belt's line; None where its counts are not used or too few."""
     if isinstance(belt_speed, str) and belt_speed != "channel":
         raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give channel, or a speed in m/s")
@@ -375,8 +375,8 @@ def _resolution(kinematics: Kinematics) -> tuple[float, float]:
     if recording.count is not None and count is not None:
         return abs(count.value) / math.sqrt(12), abs(count.value)
     position = recording.position[~kinematics.missing]
-    least = 1e-9 * float(np.ptp(position))
-    return max(kinematics.noise, least), smallest_step(position)
+    rounding = 1e-9 * float(np.ptp(position))
+    return max(kinematics.noise, rounding), smallest_step(position)
 
 
 def speed_in_sticks(kinematics: Kinematics) -> float:
@@ -390,26 +390,26 @@ def speed_in_sticks(kinematics: Kinematics) -> float:
     return float(np.median(speeds)) if len(speeds) >= noise_levels.FEWEST else math.nan
 
 
-def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, *, given: bool) -> float:
-    """Return a first belt speed, signed: as stated, or of the plateaus, the calibration or the fastest drag."""
-    if believed is not None and given:
-        return believed.value
-    if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0 and (believed or not math.isfinite(seen)):
+def _belt_speed(kinematics: Kinematics, trusted: Measured | None, median: float, *, typed: bool) -> float:
+    """Return a first belt speed, signed: as given, or from the sticks, the calibration or the start-up drag."""
+    if trusted is not None and typed:
+        return trusted.value
+    if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0 and (trusted or not math.isfinite(median)):
         return float(kinematics.belt_speed)
-    if math.isfinite(seen):
-        return seen
-    if believed is not None and believed.value != 0:
-        return believed.value
+    if math.isfinite(median):
+        return median
+    if trusted is not None and trusted.value != 0:
+        return trusted.value
     # Constant friction ends in a sine that just reaches the belt's speed; the drag displaces its middle.
-    kept = ~kinematics.missing
-    position, velocity = kinematics.steady_position[kept], kinematics.velocity[kept]
+    used = ~kinematics.missing
+    position, velocity = kinematics.steady_position[used], kinematics.velocity[used]
     middle = 0.5 * (position.max() + position.min())
     direction = 1.0 if middle >= position[0] else -1.0
     return direction * float(np.percentile(direction * velocity, 99.5))
 
 
 def _rest_position(rig: Rig, recorded: Rig) -> Measured | None:
-    """Return the spring's rest in the recorded positions, m; a stated datum was added to the readings."""
+    """Return the spring's rest position in the recorded positions, m; a given datum was added to the readings."""
     if rig.datum is None:
         return rig.x0
     return Measured(recorded.offset - rig.datum.value, rig.datum.sd)

@@ -1,13 +1,13 @@
-"""Ripple: a belt whose speed oscillates at one frequency, found in the sticks.
+"""Ripple: a belt whose speed oscillates at one frequency, estimated from the sticks.
 
-In stick the mass moves as the belt does: its velocity, less a straight line against its position (a ramp's, or a
-belt's compliance), is the belt's ripple seen through the windows of the sticks.  The strongest harmonics are looked for
-by a Fourier transform with zeros where the mass slips, and settled by least squares together with the line.  In the fit
-amplitude, phase and frequency are unknowns, with what the sticks show as a wide prior.
+In stick the mass moves with the belt: its velocity, less a straight line against its position (of a ramp, or of a
+belt's compliance), is the belt's ripple.  Candidate frequencies are the peaks of a Fourier transform with zeros where
+the mass slips.  They are refined by least squares together with the line.  In the fit amplitude, phase and frequency
+are unknowns, with a wide prior from the sticks.
 
-On a ramp the mass creeps in proportion to load over friction level, and the level is drawn anew at each landing: then
-each stick has a slope of its own, and all lines pass through the belt's speed at the spring's rest position.  Both
-are tried, and compared by an information criterion (G. Schwarz, Ann. Statist. 6 (1978) 461).
+On a ramp the mass creeps in proportion to load over friction level, and the level is new after each landing.  Then each
+stick has its own slope, and all lines pass through the belt's speed at the spring's rest position.  Both models are
+fitted, and compared by an information criterion (G. Schwarz, Ann. Statist. 6 (1978) 461).
 
 Not modelled: a second harmonic, a frequency that drifts.
 """
@@ -25,23 +25,23 @@ from fitting.record.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.record.motion import MeasuredMotion
 from stickslip.compute.arrays import Array
 
-VARIANCE_LEFT = 0.35  # share of the velocity's variance in stick that a ripple leaves at the most; true ones leave 0.32
-AMPLITUDE_BESIDE_LINES = 0.27  # share of the amplitude that the lines do not take up; of true ripples 0.28 to 1.0
-# Periods in a slip (`MeasuredMotion.slip_s`).  Slower, or below `SLOWEST_OF_FEW` with fewer periods, it may be wear or
-# a drift; faster, smoothing has taken it away.
+RESIDUAL_VARIANCE = 0.35  # largest residual variance over that of the velocity in stick; true ripples have 0.32
+AMPLITUDE_BESIDE_LINES = 0.27  # smallest share of the amplitude not absorbed by the lines; true ripples 0.28 to 1.0
+# Periods in a slip (`MeasuredMotion.slip_s`).  A slower ripple, or one below `SLOWEST_OF_FEW` with fewer periods, may
+# be wear or drift; smoothing removes a faster one.
 SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
-FEWEST_PERIODS = 2.0  # periods in the time that the sticks span: a single one cannot be distinguished from a drift
+FEWEST_PERIODS = 2.0  # periods within the sticks: a single one cannot be distinguished from a drift
 GRID_SAMPLES = 50.0  # samples a slip of the record that is transformed: four of the fastest period
-GRID_REFINEMENT = 4  # frequencies looked at for each of the transform's own
-CANDIDATES = 5  # frequencies tried: the gaps between sticks make false peaks beside the true one
+GRID_REFINEMENT = 4  # frequencies for each one of the transform
+CANDIDATES = 5  # frequencies tried: the gaps between sticks cause false peaks near the true one
 LOG_ODDS = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
-NOISE_VALUES = 10.0  # values that the known noise of a velocity counts as: beside few others it decides
+NOISE_VALUES = 10.0  # number of values that the known noise of a velocity is worth
 HARMONIC_UNKNOWNS = 3  # unknowns: amplitude, phase and frequency
-ENOUGH_SAMPLES = 5_000  # samples from which frequencies are settled
-POINTS_TRIED = 41  # places, over twice the travel, first tried for the point that lines of own slopes share
+ENOUGH_SAMPLES = 5_000  # samples from which frequencies are refined
+POINTS_TRIED = 41  # first candidates, over twice the travel, for the common point of lines with separate slopes
 STEPS, SLOPE_STEP = 6, 1e-3  # Gauss-Newton steps in frequency and point, and the step, over the first, of their slopes
-SETTLING_TIME = 0.04  # least time after a landing that is left out, in slips
-LEFT_OUT_OF_STICK = 1 / 6  # share of a stick left out at the most at an end; else short sticks show no ripple
+SETTLING_TIME = 0.04  # shortest time omitted after a landing, in slips
+OMITTED_OF_STICK = 1 / 6  # largest share of a stick omitted at each end, so that short sticks are used too
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,14 @@ class Ripple:
     cosine: float  # m/s
     sine: float
     omega: float  # rad/s; 0 without one
-    seen_s: float = math.inf  # s from the first to the last sample that shows it; inf where it is given
+    seen_s: float = math.inf  # s from the first to the last sample that it was estimated from; inf where it is given
 
     @property
     def amplitude(self) -> float:
         return math.hypot(self.cosine, self.sine)
 
-    def removed(self, motion: MeasuredMotion) -> MeasuredMotion:
-        """Return the motion without the ripple in its smoothed velocity and acceleration, where corners show."""
+    def remove_from(self, motion: MeasuredMotion) -> MeasuredMotion:
+        """Return the motion without the ripple in its smoothed velocity and acceleration, to find corners."""
         _, velocity, acceleration = self.belt_motion(motion.time)
         return replace(motion, velocity=motion.velocity - velocity, acceleration=motion.acceleration - acceleration)
 
@@ -72,23 +72,23 @@ class Ripple:
 
 
 def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
-    """Return the ripple that the sticks, or the start-up drag of a grazing mass, show."""
-    # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
+    """Estimate the ripple from the sticks, or from the start-up drag of a grazing mass."""
+    # Several frequencies fit a few short sticks equally well; the drag is longer than all of them.
     drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
-    parts = [*drag, *_in_stick(motion, cut)]
+    parts = [*drag, *_list_sticks(motion, cut)]
     if not parts:
         return None
-    own = Sticks.selected(motion, parts)
-    both = replace(own, line=np.zeros_like(own.line)), own
-    peaks = sorted({peak for sticks in both for peak in _peaks(motion, sticks)})
+    separate = Sticks.select(motion, parts)
+    shared_and_separate = replace(separate, line=np.zeros_like(separate.line)), separate
+    peaks = sorted({peak for sticks in shared_and_separate for peak in _peaks(motion, sticks)})
     if not peaks:
         return None
-    return min((_find_harmonic(motion, sticks, peaks) for sticks in both), key=itemgetter(0))[1]
+    return min((_find_harmonic(motion, sticks, peaks) for sticks in shared_and_separate), key=itemgetter(0))[1]
 
 
 @dataclass(frozen=True, eq=False)
 class Sticks:
-    """Velocities in stick, and lines against the position through one point: of one slope, or of one each."""
+    """Velocities in stick, and lines against the position through one point, with a common slope or one slope each."""
 
     time: Array  # (n,) s, m, m/s
     lever: Array  # position from the point
@@ -97,20 +97,20 @@ class Sticks:
     values: float  # number of independent samples
 
     @classmethod
-    def selected(cls, motion: MeasuredMotion, sticks: list[NDArray[np.int64]]) -> "Sticks":
-        """Return the samples of the sticks but those off the others' common line, with a line of each stick."""
+    def select(cls, motion: MeasuredMotion, sticks: list[NDArray[np.int64]]) -> "Sticks":
+        """Return the samples of the sticks without outliers of a common line, with one line for each stick."""
         index = np.concatenate(sticks)
         line = np.repeat(np.arange(len(sticks)), [stick.size for stick in sticks])
         lever = motion.position[index] - 0.5 * float(motion.position.max() + motion.position.min())
         v, columns = motion.velocity[index], np.c_[np.ones_like(lever), lever]
-        kept = np.abs(v - np.median(v)) < 0.5 * motion.belt_speed
+        near_line = np.abs(v - np.median(v)) < 0.5 * motion.belt_speed
         for _ in range(3):
-            rest = v - np.sum(columns * least_squares(columns[kept], v[kept])[0], axis=1)
-            kept = np.abs(rest) <= noise_levels.SHOWN * 1.4826 * np.median(np.abs(rest[kept]))
-        samples = np.bincount(line[kept])
+            rest = v - np.sum(columns * least_squares(columns[near_line], v[near_line])[0], axis=1)
+            near_line = np.abs(rest) <= noise_levels.SHOWN * 1.4826 * np.median(np.abs(rest[near_line]))
+        samples = np.bincount(line[near_line])
         window = max(2 * motion.half_window, SETTLING_TIME * motion.slip_s) / float(np.median(np.diff(motion.time)))
         values = float(np.sum(np.maximum(samples[samples > 0] / window, 1.0)))
-        return cls(motion.time[index][kept], lever[kept], v[kept], line[kept], values)
+        return cls(motion.time[index][near_line], lever[near_line], v[near_line], line[near_line], values)
 
     @property
     def lines(self) -> int:
@@ -141,48 +141,50 @@ class Sticks:
 
 
 def _peaks(motion: MeasuredMotion, sticks: Sticks) -> list[float]:
-    """Return the strongest frequencies, Hz, of what the lines leave."""
-    few, span = sticks.thinned(motion.slip_s), float(sticks.time[-1] - sticks.time[0])
-    point = min(sticks.points(motion), key=lambda point: float(np.sum(few.fit(point)[1] ** 2)))
+    """Return the strongest frequencies, Hz, in the residual of the lines."""
+    thinned, span = sticks.thinned(motion.slip_s), float(sticks.time[-1] - sticks.time[0])
+    point = min(sticks.points(motion), key=lambda point: float(np.sum(thinned.fit(point)[1] ** 2)))
     slowest = min(max(SLOWEST / motion.slip_s, FEWEST_PERIODS / span), SLOWEST_OF_FEW / motion.slip_s)
     peaks, _ = strongest_frequencies(sticks.time, sticks.fit(point)[1], motion.slip_s, slowest, CANDIDATES)
     return [float(hertz) for hertz in peaks]
 
 
-def _find_harmonic(motion: MeasuredMotion, every: Sticks, peaks: list[float]) -> tuple[float, Ripple | None]:
-    """Return the likeliest harmonic and its information criterion; inf and None unless it is significant."""
-    sticks = every.thinned(motion.slip_s)
+def _find_harmonic(motion: MeasuredMotion, all_sticks: Sticks, peaks: list[float]) -> tuple[float, Ripple | None]:
+    """Return the information criterion of the best harmonic, and its ripple; inf and None unless it is significant."""
+    sticks = all_sticks.thinned(motion.slip_s)
     time, seen_s = sticks.time, float(sticks.time[-1] - sticks.time[0])
-    origin = 0.5 * (time[0] + time[-1])  # far from it phase and frequency would trade against each other
+    origin = 0.5 * (time[0] + time[-1])  # in the middle, so that phase and frequency are not correlated
     directions = np.diag([0.5 / seen_s, motion.travel / POINTS_TRIED])[: sticks.points(motion).size]
 
-    def harmonic(at: Array) -> tuple[Array, Array]:
-        turns = 2 * math.pi * at[0] * (time - origin)
-        return sticks.fit(at[1], np.cos(turns), np.sin(turns))
+    def harmonic(point: Array) -> tuple[Array, Array]:
+        turns = 2 * math.pi * point[0] * (time - origin)
+        return sticks.fit(point[1], np.cos(turns), np.sin(turns))
 
-    def left(at: Array) -> float:
-        return float(np.mean(harmonic(at)[1] ** 2))
+    def mean_square(point: Array) -> float:
+        return float(np.mean(harmonic(point)[1] ** 2))
 
-    def settled(at: Array) -> Array:
+    def refine(point: Array) -> Array:
         for _ in range(STEPS):
-            rest = harmonic(at)[1]
-            slopes = [(harmonic(at + SLOPE_STEP * along)[1] - rest) / SLOPE_STEP for along in directions]
+            rest = harmonic(point)[1]
+            slopes = [(harmonic(point + SLOPE_STEP * along)[1] - rest) / SLOPE_STEP for along in directions]
             share = np.clip(least_squares(np.stack(slopes, axis=1), -rest)[0], -1.0, 1.0)
             step = np.einsum("i,ij->j", share, directions)
-            at = min((at + part * step for part in (1.0, 0.3, 0.1, 0.0)), key=left)
-        return at
+            point = min((point + factor * step for factor in (1.0, 0.3, 0.1, 0.0)), key=mean_square)
+        return point
 
     def information(variance: float) -> float:
         count = sticks.values + NOISE_VALUES
-        whole = sticks.values * variance + NOISE_VALUES * motion.velocity_error**2
-        return (count - sticks.lines - HARMONIC_UNKNOWNS) * math.log(whole / count)
+        total = sticks.values * variance + NOISE_VALUES * motion.velocity_error**2
+        return (count - sticks.lines - HARMONIC_UNKNOWNS) * math.log(total / count)
 
     needed = 2 * (math.log((FASTEST - SLOWEST) / motion.slip_s * motion.span) + LOG_ODDS)
-    ends = (settled(min((np.array([peak, point]) for point in sticks.points(motion)), key=left)) for peak in peaks)
-    end = min(ends, key=left)
-    after, before, (even, odd) = left(end), float(np.mean(sticks.fit(end[1])[1] ** 2)), harmonic(end)[0]
+    ends = (
+        refine(min((np.array([peak, point]) for point in sticks.points(motion)), key=mean_square)) for peak in peaks
+    )
+    end = min(ends, key=mean_square)
+    after, before, (even, odd) = mean_square(end), float(np.mean(sticks.fit(end[1])[1] ** 2)), harmonic(end)[0]
     if (
-        after > VARIANCE_LEFT * before
+        after > RESIDUAL_VARIANCE * before
         or 2 * (before - after) < (AMPLITUDE_BESIDE_LINES * math.hypot(even, odd)) ** 2
         or information(before) - information(after) < needed
     ):
@@ -192,14 +194,14 @@ def _find_harmonic(motion: MeasuredMotion, every: Sticks, peaks: list[float]) ->
     return information(after), Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s)
 
 
-def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
-    """Return the samples of each stick, well away from corners; none where few sticks are long."""
+def _list_sticks(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
+    """Return the samples of each stick, away from corners; none if few sticks are long."""
     parts, long = [], 0
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
         stick_s = max(after.break_away - before.landing, 0.0)
-        settle = max(motion.half_window, min(SETTLING_TIME * motion.slip_s, LEFT_OUT_OF_STICK * stick_s))
+        settle = max(motion.half_window, min(SETTLING_TIME * motion.slip_s, OMITTED_OF_STICK * stick_s))
         first = int(np.searchsorted(motion.time, before.landing + settle))
-        before_break_away = min(BEFORE_BREAK_AWAY * motion.slip_s, LEFT_OUT_OF_STICK * stick_s)
+        before_break_away = min(BEFORE_BREAK_AWAY * motion.slip_s, OMITTED_OF_STICK * stick_s)
         end = int(np.searchsorted(motion.time, after.break_away - before_break_away))
         if end > first:
             parts.append(np.arange(first, end))

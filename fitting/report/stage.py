@@ -20,7 +20,7 @@ from daq.runfile.tree import Field, Group
 from fitting.judge import friction
 from fitting.judge.curve import MeasuredCurve
 from fitting.judge.friction import friction_at, speeds_of_all, unit
-from fitting.judge.parameters import RUNS_OWN, Parameter
+from fitting.judge.parameters import RUN_PARAMETERS, Parameter
 from fitting.report.symbols import formula
 from fitting.result import LawResult, Ranking
 from processing import stage
@@ -42,10 +42,10 @@ class _Law:
     @property
     def shared(self) -> dict[str, Parameter]:
         """The parameters that all runs share."""
-        return self._of(self.ranking.sides[0], lambda name: not self.ranking.runs or name not in RUNS_OWN)
+        return self._of(self.ranking.sides[0], lambda name: not self.ranking.runs or name not in RUN_PARAMETERS)
 
     def own(self, number: int) -> dict[str, Parameter]:
-        return self._of(self.ranking.runs[number], lambda name: name in RUNS_OWN)
+        return self._of(self.ranking.runs[number], lambda name: name in RUN_PARAMETERS)
 
     @property
     def friction(self) -> Array:

@@ -1,4 +1,4 @@
-"""The result of a fit, and the noise that a pass assumes and its residuals show."""
+"""The result of a fit, and the noise that a pass assumes and that its residuals give."""
 
 import math
 from collections.abc import Sequence
@@ -16,31 +16,31 @@ from fitting.model.path import Curve, FrictionSpline, Path, positions
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import NUISANCE, PER_RUN, Global, PerCycle
-from fitting.model.windows import ShootingWindows, Wear, level_trend, of_cycles
+from fitting.model.windows import ShootingWindows, Wear, fit_wear, level_trend
 from fitting.record.cycles import Cycle
 from stickslip.compute.arrays import Array, Mask, autocorrelation_time
 from stickslip.units import Measured
 
-DEFAULT_FADE_SD = 0.005  # a slip: what a friction level may fade by where a run has too few cycles to show wear
-LEAST_FADE_SD = 5e-7  # least of that, a slip
+DEFAULT_FADE_SD = 0.005  # a slip: prior of the fading of a level, where a run has too few cycles to estimate wear
+LEAST_FADE_SD = 5e-7  # smallest value of that, a slip
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 # Power of weight/`INLIER_WEIGHT`, and its least value, by which the last pass lowers the weight of an outlier.
 OUTLIER_POWER, LEAST_OUTLIER_SHARE = 3, 0.02
-OUTLIER_LEVEL_SD = 10.0  # standard deviation of the log level of an outlier cycle, so that it has no weight in the mean
+OUTLIER_LEVEL_SD = 10.0  # standard deviation of the log level of an outlier, so that it has no weight in the mean
 OVERTAKING_FACTOR = (
     20.0  # prior width over that of other levels, where the mass overtakes the belt: 1/400 of the weight
 )
-STICK_SPEED_SD = 0.05  # error over the belt's speed: how well smoothing knows the speed in the middle of a stick
+STICK_SPEED_SD = 0.05  # error of the smoothed speed in the middle of a stick, over the belt's speed
 # Standard deviation of the log friction levels before the first pass, and the limits of one estimated from residuals.
 FIRST_SCATTER, LEAST_SCATTER, MOST_SCATTER = 0.1, 0.01, 0.5
-COUNTED_WEIGHT = 0.5  # least weight of a cycle that informs the noise: its error is 1.7 times the median one
+COUNTED_WEIGHT = 0.5  # smallest weight of a cycle used to estimate the noise: its error is 1.7 times the median
 START_SD = 0.1  # distance over the travel: how far a window may start from the smoothed motion
 
 
 @dataclass(frozen=True, eq=False)
 class PassNoise:
     sigma: Array  # (runs,) effective standard deviation of one residual, m
-    weights: Array  # (cycles,) of each cycle: 1, and less for one that errs more than the usual one
+    weights: Array  # (cycles,) of each cycle: 1, and less for one that fits worse than the median
     scatter: float = FIRST_SCATTER  # standard deviation of the logarithms of the friction levels
     fade_sd: Array | None = None  # (runs,) how much a level may fade within a cycle, 1/s; None while it does not
 
@@ -61,22 +61,24 @@ class PassNoise:
         sd = []
         for run, motion in enumerate(task.problem.motions):
             table = windows.table
-            own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inliers[table[:, 0]]
-            levels = np.exp(local[table[own, 0], PerCycle.LEVEL])
-            trend = level_trend(windows.level_epoch[own], levels)
+            slips_of_run = (table[:, 1] == 0) & (table[:, 5] == run) & self.inliers[table[:, 0]]
+            levels = np.exp(local[table[slips_of_run, 0], PerCycle.LEVEL])
+            trend = level_trend(windows.level_epoch[slips_of_run], levels)
             lost = DEFAULT_FADE_SD / motion.slip_s if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
             sd.append(max(lost, LEAST_FADE_SD / motion.slip_s))
         return replace(self, fade_sd=np.array(sd))
 
-    def seen(self, task: Task, windows: ShootingWindows, residual: Array, local: Array, *, first: bool) -> "PassNoise":
-        """Return the noise that residuals show; after a first pass it only decreases, so no misfit excuses itself."""
+    def update(
+        self, task: Task, windows: ShootingWindows, residual: Array, local: Array, *, first: bool
+    ) -> "PassNoise":
+        """Estimate the noise from residuals; after the first pass it never rises, so misfit is not taken for noise."""
         rms, run = windows.rms(residual), windows.run
         weights, sigma = np.ones(rms.size), self.sigma.copy()
         for k, motion in enumerate(task.problem.motions):
-            own = np.flatnonzero(run == k)
-            weights[own] = cycle_weights(rms[own], max(float(np.median(rms[own])), motion.resolution))
-            seen = effective_sigma(residual, [windows.rows[c] for c in own if weights[c] > COUNTED_WEIGHT])
-            sigma[k] = max(seen if first else min(seen, float(sigma[k])), motion.resolution)
+            cycles = np.flatnonzero(run == k)
+            weights[cycles] = cycle_weights(rms[cycles], max(float(np.median(rms[cycles])), motion.resolution))
+            run_sigma = effective_sigma(residual, [windows.rows[c] for c in cycles if weights[c] > COUNTED_WEIGHT])
+            sigma[k] = max(run_sigma if first else min(run_sigma, float(sigma[k])), motion.resolution)
         levels = local[weights > INLIER_WEIGHT, PerCycle.LEVEL]
         scatter = float(np.clip(np.std(levels), LEAST_SCATTER, MOST_SCATTER))
         return replace(self, sigma=sigma, weights=weights, scatter=scatter)
@@ -89,14 +91,14 @@ class PassNoise:
         return np.asarray(1 / sd**2)
 
     def level_sd(self, windows: ShootingWindows, wider: float) -> Array:
-        found = np.full((len(windows.rows), 2), wider * self.scatter)
-        found[windows.overtaking, 1] *= OVERTAKING_FACTOR
-        found[~self.inliers] = OUTLIER_LEVEL_SD
-        return found
+        sd = np.full((len(windows.rows), 2), wider * self.scatter)
+        sd[windows.overtaking, 1] *= OVERTAKING_FACTOR
+        sd[~self.inliers] = OUTLIER_LEVEL_SD
+        return sd
 
 
 def without_outliers(weights: Array) -> Array:
-    """Nearly ignore outlying cycles; not 0, since the own unknowns of each must still follow it."""
+    """Nearly ignore outliers; a small weight remains, since each cycle's unknowns are still fitted to it."""
     return weights * np.clip((weights / INLIER_WEIGHT) ** OUTLIER_POWER, LEAST_OUTLIER_SHARE, 1.0)
 
 
@@ -106,7 +108,7 @@ def cycle_weights(errors: Array, usual: float) -> Array:
 
 def effective_sigma(residual: Array, rows: Sequence[slice]) -> float:
     """Return rms x sqrt(tau), tau the integrated autocorrelation time in samples, pooled over the cycles."""
-    parts = [residual[own] for own in rows]
+    parts = [residual[rows_of_cycle] for rows_of_cycle in rows]
     square, count = sum(float(np.sum(r**2)) for r in parts), sum(r.size for r in parts)
     return math.sqrt(square / count * autocorrelation_time(parts)) if square > 0 else 0.0
 
@@ -115,14 +117,14 @@ def effective_sigma(residual: Array, rows: Sequence[slice]) -> float:
 class Fit:
     """A task fitted to the runs, per unit mass and in the fit's frame."""
 
-    model: Model  # its windows have every sample, or every so many where the fit was not brought to its end
+    model: Model  # its windows have every sample, or a thinned record where the fit is not finished
     q: Array  # (p + n + m,) the task's unknowns (`Task`), of all runs, and each cycle's own
     local: Array
     residual: Array  # (N,) model minus measurement, m, cycle by cycle
-    noise: PassNoise  # what the next pass is to assume
-    least_squares: LeastSquaresProblem  # what the last pass minimised; of every sample it is seen through nodes
+    noise: PassNoise  # for the next pass
+    least_squares: LeastSquaresProblem  # of the last pass
     solution: Solution  # where it stopped
-    whole: bool = False  # whether the last pass took every sample
+    finished: bool = False  # whether the last pass took every sample
     cpu_s: float = 0.0  # CPU time of all passes, s
     run: int | None = None  # whose windows, cycles, residuals and unknowns ``u`` these are; None for those of all runs
 
@@ -167,7 +169,7 @@ class Fit:
         return unknowns.values(self.u[:PER_RUN])
 
     @property
-    def own_values(self) -> dict[str, float]:
+    def law_values(self) -> dict[str, float]:
         return self.task.curve.values(self.theta, self.u)
 
     @property
@@ -188,7 +190,7 @@ class Fit:
 
     @property
     def inlier_cycles(self) -> Mask:
-        """Cycles whose level informs: without a kick or lost counts."""
+        """Cycles (cycles,) with a usual residual: without a kick or lost counts."""
         inliers = self.noise.inliers
         return inliers if self.run is None else inliers[self.model.windows.run == self.run]
 
@@ -217,7 +219,7 @@ class Fit:
 
     @property
     def geometric_mean_rms(self) -> float:
-        """Robust to a few spoilt cycles."""
+        """Robust against a few outlier cycles."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
     @property
@@ -230,19 +232,19 @@ class Fit:
         return self.solution.outcome
 
     @property
-    def held_rest(self) -> Measured | None:
-        """The assumed rest position; None where it was calibrated or fitted."""
+    def assumed_rest(self) -> Measured | None:
+        """The assumed rest position of the spring; None where it was calibrated or fitted."""
         problem = self.problem
-        if problem.motions[0].datum_prior is not None or not problem.held[Global.DATUM]:
+        if problem.motions[0].datum_prior is not None or not problem.fixed[Global.DATUM]:
             return None
         return Measured(float(problem.prior[Global.DATUM]), float(problem.precision[Global.DATUM]) ** -0.5)
 
     @property
     def law_parameters(self) -> int:
         """Number of free unknowns without those that every law has (datum, damping, fade, belt)."""
-        held = self.problem.held
-        shared = sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.places)
-        return shared + self.task.curve.size - (self.held_rest is not None)
+        fixed = self.problem.fixed
+        shared = sum(place % PER_RUN not in NUISANCE and not fixed[place] for place in self.places)
+        return shared + self.task.curve.size - (self.assumed_rest is not None)
 
     @property
     def calibration_deviations(self) -> Array:
@@ -279,8 +281,8 @@ class Fit:
 
     def residual_in(self, windows: ShootingWindows, local: Array) -> Array | None:
         curve = self.curve_on_path
-        found = None if curve is None else positions(windows, curve, self.u, local)
-        return None if found is None else found - windows.position
+        predicted = None if curve is None else positions(windows, curve, self.u, local)
+        return None if predicted is None else predicted - windows.position
 
     def motion_in(self, windows: ShootingWindows) -> Array | None:
         """Return positions, m, and velocities, m/s, (2, N) in windows of the fit; None where it cannot be followed."""
@@ -293,19 +295,19 @@ class Fit:
         return self.model.loop(self.windows, self.q, self.local, self.run, cycle)
 
     def level_trend(self, run: int = 0) -> Wear | None:
-        return of_cycles(self.windows, self.inlier_cycles, self.local, run)
+        return fit_wear(self.windows, self.inlier_cycles, self.local, run)
 
     def for_run(self, run: int) -> "Fit":
         """Return the cycles, residuals and unknowns of one run; the solution stays that of all."""
         if self.runs == 1:
             return self
-        own = np.flatnonzero(self.windows.run == run)
-        residual = np.concatenate([self.residual[self.rows[k]] for k in own])
-        return replace(self, run=run, local=self.local[own], residual=residual)
+        cycles_of_run = np.flatnonzero(self.windows.run == run)
+        residual = np.concatenate([self.residual[self.rows[k]] for k in cycles_of_run])
+        return replace(self, run=run, local=self.local[cycles_of_run], residual=residual)
 
 
 class Unfitted(NamedTuple):
-    """A law that was not fitted, or not to an end that holds."""
+    """A law that was not fitted, or whose fit is not valid."""
 
     law: Law
     reason: str

@@ -12,10 +12,10 @@ import numpy as np
 from fitting import noise_levels
 from fitting.laws import Law
 from fitting.model import unknowns
-from fitting.model.memory import MemoryProblem, memory_task, start_beside
+from fitting.model.memory import MemoryProblem, memory_task, warm_start
 from fitting.model.problem import Run, break_away_position
 from fitting.model.unknowns import PER_RUN
-from fitting.search.exchange import best_end
+from fitting.search.exchange import settle_from_starts
 from fitting.search.fit import Fit, PassNoise
 from fitting.search.passes import finish, fit_cycles
 from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
@@ -41,16 +41,16 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
     few_cycles = MemoryProblem.of_law(law, [_with_few_cycles(run) for run in steady])
     begun = list(starting_values(law, problem, nearest))
     tasks = [memory_task(law, few_cycles, values) for values, _ in begun]
-    starts = [start_beside(task, u) for task, (_, u) in zip(tasks, begun, strict=True)]
-    few = best_end(tasks[0], [(start, None) for start in starts])
+    starts = [warm_start(task, u) for task, (_, u) in zip(tasks, begun, strict=True)]
+    few = settle_from_starts(tasks[0], [(start, None) for start in starts])
     if few is None:
         return "its motion cannot be followed"
     if noise is not None and few.geometric_mean_rms > noise_levels.LOST * float(np.max(noise)):
         return "it does not describe the first cycles"
     task = memory_task(law, problem, begun[0][0])
     noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
-    start = fit_cycles(task, start_beside(task, few.u)._replace(q=few.q), noise_seen)
-    settled = best_end(task, [(start, noise_seen), (start, None)])
+    start = fit_cycles(task, warm_start(task, few.u)._replace(q=few.q), noise_seen)
+    settled = settle_from_starts(task, [(start, noise_seen), (start, None)])
     return "its motion cannot be followed" if settled is None else finish(settled) or settled
 
 
@@ -71,7 +71,7 @@ def starting_values(law: Law, problem: MemoryProblem, nearest: Fit) -> Iterator[
             s0 = rest / (length * motion.travel)
             own = {"s0": s0, "s1": math.sqrt(s0), "Fc": sliding, "Fs": rest, "v_s": V_S_OVER_SPEED * fastest}
             yield own, problem.start
-        steady = {name: value for name, value in nearest.own_values.items() if name in STRIBECK}
+        steady = {name: value for name, value in nearest.law_values.items() if name in STRIBECK}
         if len(steady) == len(STRIBECK):  # its limit
             s0 = steady["Fs"] / (min(PRESLIDING) * motion.travel)
             yield {"s0": s0, "s1": math.sqrt(s0)} | steady, nearest.u

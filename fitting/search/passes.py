@@ -1,10 +1,10 @@
-"""The passes of a fit: with much noise assumed, with the noise that the residuals show, with every sample.
+"""The passes of a fit: with a large assumed noise, with the noise estimated from the residuals, with every sample.
 
-first_pass   noise 30 times the resolution, on the thinned record: priors then hold what is far off
-settle       again with the noise, weights and scatter that the pass before showed, until these stay
-finish       every sample, seen through nodes, and a last step of all; levels may fade, outlying cycles hardly count
+first_pass   the thinned record, with noise 30 times the resolution: the priors then dominate a poor start
+settle       again, with noise, weights and scatter estimated from the pass before, until these no longer change
+finish       every sample, averaged at nodes, then one step on the samples; levels may fade, outliers hardly count
 
-Cycles in which the mass overtakes the belt unseen are found between `settle` and `finish`.
+Overtaking of the belt that segmentation missed is found between `settle` and `finish`.
 """
 
 import math
@@ -37,24 +37,24 @@ class Limits(NamedTuple):
     corrections: int = 0
 
 
-FIRST_NOISE = 30.0  # noise assumed in the first pass, over the resolution: a start may err by a tenth of a slip
+FIRST_NOISE = 30.0  # noise assumed in the first pass, over the resolution: a start may be a tenth of a slip off
 SEARCH = Limits(12, 1e-3, 1e-3)  # on the thinned record; the gain of a wrong law is small, so its rms decides
 WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # with every sample
 MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
-NOISE_SETTLED = 0.8  # noise shown over the noise assumed, above which a pass is the last
-NOISE_CUT = 4.0  # factor by which the noise assumed falls from pass to pass, where it is known
+NOISE_SETTLED = 0.8  # estimated over assumed noise, above which a pass is the last
+NOISE_CUT = 4.0  # largest factor by which the assumed noise falls from pass to pass, where ``noise_m`` is given
 FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6  # of the curvatures: far from the end, and near it
 CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the own unknowns of outlying cycles
 GIVEN_UP_BEYOND_BEST = 30.0  # error over the best after the first pass; true laws reach 20 in harsh records
 STATIC_GAIN = 5.0  # least gain in log likelihood by a separate break-away level of a ramp
 STATIC_STARTS = (1.1, 1.5)  # starts of the break-away level over that of slip: either alone misses true levels
-TOWARDS_REGRESSION = (1.0, 0.75)  # starts on the way from the curve of a fit without a level to the regression
-CYCLE_GAIN = 0.99  # cost over that of a cycle before: another start of its own unknowns led to another minimum
-# Forces along a path: times that it is followed before a pass; most passes, steps of each, and change when settled.
+TOWARDS_REGRESSION = (1.0, 0.75)  # starts between a fit without a break-away level (0) and the regression (1)
+CYCLE_GAIN = 0.99  # cost of a restarted cycle over its cost before: with less it is in a better minimum
+# Forces along a path: how often the path is followed before a pass; most passes, steps of each, and final change.
 FOLLOWED, FORCE_PASSES, FORCE_STEPS, FORCE_SETTLED = 4, 6, 8, 1e-3
 
 
-def regressed_start(task: Task) -> FitStart:
+def start_from_regression(task: Task) -> FitStart:
     problem = task.problem
     windows = problem.windows(thinned=True)
     local = cycle_starts(windows, problem.motions, problem.cycles, problem.start)
@@ -62,190 +62,190 @@ def regressed_start(task: Task) -> FitStart:
     return FitStart(np.concatenate([shared, task.curve.start, np.zeros(task.widths[2])]), local)
 
 
-def restarted_windows(at: Fit) -> FitStart:
-    """Restart all windows at the smoothed motion: the first shared unknowns may have led them to poor minima."""
-    problem = at.task.problem
-    return FitStart(at.q, cycle_starts(at.windows, problem.motions, problem.cycles, at.u))
+def restart_windows(fit: Fit) -> FitStart:
+    """Restart all windows at the smoothed motion: the first shared unknowns may have led them to local minima."""
+    problem = fit.task.problem
+    return FitStart(fit.q, cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u))
 
 
-def assumed_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
-    """Return noise of so many resolutions."""
+def assume_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
+    """Return a noise of ``times`` the resolution, with equal weights."""
     resolution = np.array([motion.resolution for motion in task.problem.motions])
     return PassNoise(times * resolution, np.ones(len(task.problem.cycles)))
 
 
 def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> Fit | None:
-    """Fit the thinned record; without the noise of a fitted start nearly any misfit is taken for noise."""
+    """Fit the thinned record; without a warm start's noise a large one is assumed."""
     begun = clock.process_time()
     windows = task.problem.windows(thinned=True)
-    noise = assumed_noise(task) if noise is None else noise
-    at = _one_pass(task.predict(windows, flow.SEARCH_STEP), start, noise, SEARCH, FIRST_DAMPING)
-    if at is None:
+    noise = assume_noise(task) if noise is None else noise
+    fit = _run_pass(task.predict(windows, flow.SEARCH_STEP), start, noise, SEARCH, FIRST_DAMPING)
+    if fit is None:
         return None
-    return replace(_with_noise(at, first=True), cpu_s=clock.process_time() - begun)
+    return replace(_update_noise(fit, first=True), cpu_s=clock.process_time() - begun)
 
 
-def regressed_pass(task: Task, noise: PassNoise | None = None) -> Fit | None:
-    """Fit from the regression; under large noise any ripple fits, so its frequency is freed at the end."""
-    steady = task.without(*RIPPLE)
-    if steady.places == task.places:
-        return first_pass(task, regressed_start(task), noise)
-    held = first_pass(steady, regressed_start(steady), noise)
-    if held is None:
+def first_pass_from_regression(task: Task, noise: PassNoise | None = None) -> Fit | None:
+    """Fit from the regression, first without the ripple: under large noise any ripple frequency fits."""
+    steady_task = task.without(*RIPPLE)
+    if steady_task.places == task.places:
+        return first_pass(task, start_from_regression(task), noise)
+    fit = first_pass(steady_task, start_from_regression(steady_task), noise)
+    if fit is None:
         return None
-    return first_pass(task, FitStart(_beside(task, held.u, held), held.local), held.noise)
+    return first_pass(task, FitStart(_join_unknowns(task, fit.u, fit), fit.local), fit.noise)
 
 
-def settle(at: Fit, noise_m: Array | None = None) -> Fit | None:
-    """Repeat the pass with the noise shown until that stays; a known noise (runs,), m, is approached in steps."""
-    begun, spent = clock.process_time(), at.cpu_s
+def settle(fit: Fit, noise_m: Array | None = None) -> Fit | None:
+    """Repeat the pass with the estimated noise until that is constant; ``noise_m`` (runs,), m, is its lower bound."""
+    begun, spent = clock.process_time(), fit.cpu_s
     for _ in range(MOST_PASSES):
-        found = _searched(at)
-        if found is None:
+        repeated = _repeat_pass(fit)
+        if repeated is None:
             return None
-        before, at = at, _with_noise(found, first=False)
+        before, fit = fit, _update_noise(repeated, first=False)
         if noise_m is not None:
-            nearer = np.maximum(np.minimum(at.noise.sigma, before.noise.sigma / NOISE_CUT), noise_m)
-            at = replace(at, noise=replace(at.noise, sigma=nearer))
-        same = bool(np.all(at.noise.sigma > NOISE_SETTLED * before.noise.sigma))
-        if same and at.solution.outcome == "converged":
+            sigma = np.maximum(np.minimum(fit.noise.sigma, before.noise.sigma / NOISE_CUT), noise_m)
+            fit = replace(fit, noise=replace(fit.noise, sigma=sigma))
+        noise_stays = bool(np.all(fit.noise.sigma > NOISE_SETTLED * before.noise.sigma))
+        if noise_stays and fit.solution.outcome == "converged":
             break
-    return replace(at, cpu_s=spent + clock.process_time() - begun)
+    return replace(fit, cpu_s=spent + clock.process_time() - begun)
 
 
-def _searched(at: Fit) -> Fit | None:
-    model = at.task.predict(at.windows, flow.SEARCH_STEP, at.model.near)
-    return _one_pass(model, FitStart(at.q, restarted(at)), at.noise, SEARCH, LATER_DAMPING)
+def _repeat_pass(fit: Fit) -> Fit | None:
+    model = fit.task.predict(fit.windows, flow.SEARCH_STEP, fit.model.earlier_path)
+    return _run_pass(model, FitStart(fit.q, restart_outliers(fit)), fit.noise, SEARCH, LATER_DAMPING)
 
 
-def with_own_static(at: Fit) -> Fit:
-    """Give a ramp a break-away level if the thinned record gains; free from the first pass it ends in poor minima."""
-    begun, task = clock.process_time(), at.task.with_static
-    reached = noise_levels.DESCRIBES * task.resolution
-    best = at
-    for u in [] if task is at.task else _static_starts(task, at):
-        first = first_pass(task, FitStart(_beside(task, u, at), at.local), at.noise)
-        found = settle(first) if first is not None and first.geometric_mean_rms < at.geometric_mean_rms else None
-        if found is not None and found.geometric_mean_rms < best.geometric_mean_rms:
-            best = found
-            if best.geometric_mean_rms < reached:
+def fit_break_away_level(fit: Fit) -> Fit:
+    """Add a break-away level to a ramp if that improves the fit; free from the first pass it ends in local minima."""
+    begun, task = clock.process_time(), fit.task.with_static
+    noise_limit = noise_levels.DESCRIBES * task.resolution
+    best = fit
+    for u in [] if task is fit.task else _static_starts(task, fit):
+        first = first_pass(task, FitStart(_join_unknowns(task, u, fit), fit.local), fit.noise)
+        settled = settle(first) if first is not None and first.geometric_mean_rms < fit.geometric_mean_rms else None
+        if settled is not None and settled.geometric_mean_rms < best.geometric_mean_rms:
+            best = settled
+            if best.geometric_mean_rms < noise_limit:
                 break
-    gain = at.residual.size * math.log(at.geometric_mean_rms / best.geometric_mean_rms)
-    return replace(best if gain >= STATIC_GAIN else at, cpu_s=at.cpu_s + clock.process_time() - begun)
+    gain = fit.residual.size * math.log(fit.geometric_mean_rms / best.geometric_mean_rms)
+    return replace(best if gain >= STATIC_GAIN else fit, cpu_s=fit.cpu_s + clock.process_time() - begun)
 
 
-def _static_starts(task: Task, at: Fit) -> list[Array]:
-    """Return unknowns (13 runs,) with a break-away level, from the end of a fit without one.
+def _static_starts(task: Task, fit: Fit) -> list[Array]:
+    """Return unknowns (13 runs,) with a break-away level, from a fit without one.
 
-    Without a level the curve rises towards rest, and the regression of the smoothed slips is too flat. The first starts
-    lie between the two, with the fit's friction at rest as the level; the others keep its friction in slip.
+    Without a level the fitted curve is too steep near rest, and the regression of the smoothed slips is too flat. The
+    first starts lie between the two, with the fit's friction at rest as level. The others keep its friction in slip.
     """
-    between = [at.u.copy() for _ in TOWARDS_REGRESSION]
+    between = [fit.u.copy() for _ in TOWARDS_REGRESSION]
     for u, share in zip(between, TOWARDS_REGRESSION, strict=True):
-        for own, seen in zip(u.reshape(-1, PER_RUN), task.problem.start.reshape(-1, PER_RUN), strict=True):
-            rest = own[Global.LOG_F]
+        for u_of_run, regressed in zip(u.reshape(-1, PER_RUN), task.problem.start.reshape(-1, PER_RUN), strict=True):
+            rest = u_of_run[Global.LOG_F]
             for slot in (Global.LOG_F, Global.SHAPE):
-                own[slot] += share * (seen[slot] - own[slot])
-            own[Global.STATIC] = max(math.exp(rest - own[Global.LOG_F]), STATIC_STARTS[0])
-    others = [at.u.copy() for _ in STATIC_STARTS]
-    for u, level in zip(others, STATIC_STARTS, strict=True):
+                u_of_run[slot] += share * (regressed[slot] - u_of_run[slot])
+            u_of_run[Global.STATIC] = max(math.exp(rest - u_of_run[Global.LOG_F]), STATIC_STARTS[0])
+    same_in_slip = [fit.u.copy() for _ in STATIC_STARTS]
+    for u, level in zip(same_in_slip, STATIC_STARTS, strict=True):
         _set_static(task, u, level)
-    return [*between, *others]
+    return [*between, *same_in_slip]
 
 
-def _beside(task: Task, u: Array, at: Fit) -> Array:
+def _join_unknowns(task: Task, u: Array, fit: Fit) -> Array:
     u = np.clip(u, task.problem.lower, task.problem.upper)
-    return np.concatenate([u[list(task.places)], at.q[len(at.task.places) :]])
+    return np.concatenate([u[list(task.places)], fit.q[len(fit.task.places) :]])
 
 
 def _set_static(task: Task, u: Array, level: float) -> None:
-    """Change the break-away level in u, with the same friction in slip and slope in stick."""
+    """Change the break-away level in u; friction in slip and the slope in stick stay the same."""
     if isinstance(task.curve, LawCurve):
-        for own in u.reshape(-1, PER_RUN):
-            own[:] = unknowns.to_array(with_static(task.curve.code, unknowns.values(own), level))
+        for u_of_run in u.reshape(-1, PER_RUN):
+            u_of_run[:] = unknowns.to_array(with_static(task.curve.code, unknowns.values(u_of_run), level))
 
 
-def _static_gain(at: Fit) -> float:
-    """Return the approximate gain in log likelihood; inf without a level."""
-    if Global.STATIC not in at.task.places:
+def _static_gain(fit: Fit) -> float:
+    """Return the approximate gain in log likelihood by a break-away level; inf without one."""
+    if Global.STATIC not in fit.task.places:
         return math.inf
-    excess, sd = float(at.u[Global.STATIC]) - 1.0, at.deviation(Global.STATIC)
+    excess, sd = float(fit.u[Global.STATIC]) - 1.0, fit.deviation(Global.STATIC)
     return 0.5 * (excess / sd) ** 2 if sd > 0 else 0.0
 
 
-def finish(at: Fit, noise_m: Array | None = None) -> Fit | None:
-    """Fit every sample, through nodes, with a known noise (runs,), m, if any; None if that cannot be followed."""
-    begun, spent = clock.process_time(), at.cpu_s
-    noise = at.noise.with_fade(at.task, at.windows, at.local)
-    # The noise is that of levels that fade: without, a drag that wears shows several times as much.
-    faded = _searched(replace(at, noise=noise))
+def finish(fit: Fit, noise_m: Array | None = None) -> Fit | None:
+    """Fit every sample, with the noise ``noise_m`` (runs,), m, if given; None if the motion cannot be followed."""
+    begun, spent = clock.process_time(), fit.cpu_s
+    noise = fit.noise.with_fade(fit.task, fit.windows, fit.local)
+    # The noise is estimated with levels that fade: without, that of a drag with wear is several times too large.
+    faded = _repeat_pass(replace(fit, noise=noise))
     if faded is None:
         return None
-    at = _with_noise(faded, first=False)
+    fit = _update_noise(faded, first=False)
     if noise_m is not None:
-        at = replace(at, noise=replace(at.noise, sigma=noise_m))
-    found = finish_from(at.task, FitStart(at.q, restarted(at)), at.noise, at.model.near)
-    return None if found is None else replace(found, cpu_s=spent + clock.process_time() - begun)
+        fit = replace(fit, noise=replace(fit.noise, sigma=noise_m))
+    finished = finish_from(fit.task, FitStart(fit.q, restart_outliers(fit)), fit.noise, fit.model.earlier_path)
+    return None if finished is None else replace(finished, cpu_s=spent + clock.process_time() - begun)
 
 
-def finish_from(task: Task, start: FitStart, noise: PassNoise, near: Path | None = None) -> Fit | None:
-    """Fit every sample from near the end; a break-away level without gain is removed."""
+def finish_from(task: Task, start: FitStart, noise: PassNoise, earlier_path: Path | None = None) -> Fit | None:
+    """Fit every sample from a settled start; a break-away level that does not improve the fit is removed."""
     begun = clock.process_time()
-    found = _whole(task, start, noise, near)
-    if found is None:
+    fit = _fit_every_sample(task, start, noise, earlier_path)
+    if fit is None:
         return None
-    if _static_gain(found) < STATIC_GAIN:
-        level, u = found.task.without(Global.STATIC), found.u.copy()
+    if _static_gain(fit) < STATIC_GAIN:
+        level, u = fit.task.without(Global.STATIC), fit.u.copy()
         _set_static(level, u, 1.0)
-        without = _whole(level, FitStart(_beside(level, u, found), found.local), noise, near)
-        # Its error does not decide: along a bent valley a level may be open, and yet none of them be 1.
-        if without is not None and without.solution.cost - found.solution.cost < STATIC_GAIN:
-            found = without
-    found = _started_below_belt(found, noise)
-    return replace(found, cpu_s=clock.process_time() - begun)
+        fit_without = _fit_every_sample(level, FitStart(_join_unknowns(level, u, fit), fit.local), noise, earlier_path)
+        # The error of the level alone does not decide: along a bent valley a poorly constrained level may exclude 1.
+        if fit_without is not None and fit_without.solution.cost - fit.solution.cost < STATIC_GAIN:
+            fit = fit_without
+    fit = _restart_slips_below_belt(fit, noise)
+    return replace(fit, cpu_s=clock.process_time() - begun)
 
 
-def _whole(
-    task: Task, start: FitStart, settled: PassNoise, near: Path | None, *, below_belt: bool = False
+def _fit_every_sample(
+    task: Task, start: FitStart, pass_noise: PassNoise, earlier_path: Path | None, *, below_belt: bool = False
 ) -> Fit | None:
-    noise = settled.for_last_pass
-    whole = task.problem.windows(thinned=False)
-    nodes = SampleNodes.of(whole, task.problem.thinning)
-    every, sparse = task.predict(whole, flow.LONGEST_STEP), task.predict(nodes.windows, flow.LONGEST_STEP)
-    for model in (every, sparse):
-        model.settle(*start, FOLLOWED)
-    residual, there = every.residual(*start), sparse.residual(*start)
-    if residual is None or there is None:
+    noise = pass_noise.for_last_pass
+    windows = task.problem.windows(thinned=False)
+    nodes = SampleNodes.of(windows, task.problem.thinning)
+    model, model_of_nodes = task.predict(windows, flow.LONGEST_STEP), task.predict(nodes.windows, flow.LONGEST_STEP)
+    for prediction in (model, model_of_nodes):
+        prediction.settle(*start, FOLLOWED)
+    residual_of_samples, residual_of_nodes = model.residual(*start), model_of_nodes.residual(*start)
+    if residual_of_samples is None or residual_of_nodes is None:
         return None
-    seen = nodes.seen(there + nodes.windows.position, residual)
-    path = None if sparse.near is None else replace(sparse.near, windows=seen)
-    seen_by = task.predict(seen, flow.LONGEST_STEP, path, nodes.count)
-    last = _one_pass(seen_by, start, noise, WHOLE, LATER_DAMPING, below_belt=below_belt)
+    measured_nodes = nodes.with_mean_residuals(residual_of_nodes + nodes.windows.position, residual_of_samples)
+    path = None if model_of_nodes.earlier_path is None else replace(model_of_nodes.earlier_path, windows=measured_nodes)
+    model_at_nodes = task.predict(measured_nodes, flow.LONGEST_STEP, path, nodes.count)
+    last = _run_pass(model_at_nodes, start, noise, WHOLE, LATER_DAMPING, below_belt=below_belt)
     if last is None:
         return None
-    every.settle(*last.start, FOLLOWED)
-    problem = least_squares_problem(every, noise, last.q, below_belt=below_belt)
-    solution = levenberg_marquardt.last_step(problem, last.solution)
+    model.settle(*last.start, FOLLOWED)
+    problem = least_squares_problem(model, noise, last.q, below_belt=below_belt)
+    solution = levenberg_marquardt.take_last_step(problem, last.solution)
     if solution is None:
         return None
-    return Fit(every, solution.u, solution.local, solution.residual, settled, problem, solution, whole=True)
+    return Fit(model, solution.u, solution.local, solution.residual, pass_noise, problem, solution, finished=True)
 
 
-def _started_below_belt(at: Fit, noise: PassNoise) -> Fit:
+def _restart_slips_below_belt(fit: Fit, noise: PassNoise) -> Fit:
     """Refit slips that start faster than the belt from a slower start, and keep the better fit.
 
-    Friction there points the other way until the mass sticks: a local minimum under noise, Fs up to 15 % too small.
-    Bounds from the first pass on lead other fits into poor minima.
+    Above the belt's speed friction is reversed until the mass sticks. Under noise that is a local minimum, with Fs up
+    to 15 % too small. Bounds from the first pass on lead other fits into local minima.
     """
-    problem, curve = at.task.problem, at.task.curve
-    fastest = at.windows.fastest_starts(at.u)
-    beyond = (at.local > fastest).any(axis=1) & noise.inliers
-    if curve.ramp or curve.law is None or curve.law.kind.curve == "constant" or not beyond.any():
-        return at
-    fresh = cycle_starts(at.windows, problem.motions, problem.cycles, at.u)
-    below = np.minimum(np.where(beyond[:, None], fresh, at.local), fastest)
-    found = _whole(at.task, FitStart(at.q, below), noise, None, below_belt=True)
-    return found if found is not None and found.solution.cost < at.solution.cost else at
+    problem, curve = fit.task.problem, fit.task.curve
+    fastest = fit.windows.fastest_starts(fit.u)
+    too_fast = (fit.local > fastest).any(axis=1) & noise.inliers
+    if curve.ramp or curve.law is None or curve.law.kind.curve == "constant" or not too_fast.any():
+        return fit
+    smoothed_starts = cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u)
+    slower_starts = np.minimum(np.where(too_fast[:, None], smoothed_starts, fit.local), fastest)
+    refit = _fit_every_sample(fit.task, FitStart(fit.q, slower_starts), noise, None, below_belt=True)
+    return refit if refit is not None and refit.solution.cost < fit.solution.cost else fit
 
 
 def fit_cycles(task: Task, start: FitStart, noise: PassNoise) -> FitStart:
@@ -257,33 +257,33 @@ def fit_cycles(task: Task, start: FitStart, noise: PassNoise) -> FitStart:
     return start if end is None else start._replace(local=end.local)
 
 
-def restarted(at: Fit) -> Array:
-    """Restart outlying cycles from the smoothed motion where that costs less: a velocity step makes several minima."""
-    cycles = np.flatnonzero(~at.noise.inliers)
-    part = at.least_squares.of_cycles(at.q, cycles)
-    if part is None:
-        return at.local
-    problem = at.task.problem
-    fresh = cycle_starts(at.windows, problem.motions, problem.cycles, at.u)[cycles]
-    found = levenberg_marquardt.minimise(part, np.empty(0), fresh, **CYCLE_RESTART)
-    held = part.evaluate(part.prior, at.local[cycles], False)
-    if found is None or held is None:
-        return at.local
-    before = cost_by_cycle(part, at.local[cycles], held[0])
-    better = cost_by_cycle(part, found.local, found.residual) < CYCLE_GAIN * before
-    local = at.local.copy()
-    local[cycles[better]] = found.local[better]
+def restart_outliers(fit: Fit) -> Array:
+    """Restart outlier cycles from the smoothed motion where that costs less: a velocity step makes several minima."""
+    cycles = np.flatnonzero(~fit.noise.inliers)
+    outliers = fit.least_squares.of_cycles(fit.q, cycles)
+    if outliers is None:
+        return fit.local
+    problem = fit.task.problem
+    smoothed_starts = cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u)[cycles]
+    refit = levenberg_marquardt.minimise(outliers, np.empty(0), smoothed_starts, **CYCLE_RESTART)
+    present = outliers.evaluate(outliers.prior, fit.local[cycles], False)
+    if refit is None or present is None:
+        return fit.local
+    before = cost_by_cycle(outliers, fit.local[cycles], present[0])
+    better = cost_by_cycle(outliers, refit.local, refit.residual) < CYCLE_GAIN * before
+    local = fit.local.copy()
+    local[cycles[better]] = refit.local[better]
     return local
 
 
-def _with_noise(at: Fit, *, first: bool) -> Fit:
-    return replace(at, noise=at.noise.seen(at.task, at.windows, at.residual, at.local, first=first))
+def _update_noise(fit: Fit, *, first: bool) -> Fit:
+    return replace(fit, noise=fit.noise.update(fit.task, fit.windows, fit.residual, fit.local, first=first))
 
 
-def _one_pass(
+def _run_pass(
     model: Model, start: FitStart, noise: PassNoise, limits: Limits, damping: float, *, below_belt: bool = False
 ) -> Fit | None:
-    """Minimise under assumed noise; forces along the path are evaluated anew until they settle."""
+    """Minimise under assumed noise; forces along the path are evaluated again until they are constant."""
     model.settle(*start, FOLLOWED)
     problem = least_squares_problem(model, noise, start.q, below_belt=below_belt)
     settings: dict[str, Any] = {"tolerance": limits.gain, "steady": limits.steady, "corrections": limits.corrections}
@@ -306,7 +306,7 @@ def _one_pass(
 
 
 def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_belt: bool = False) -> LeastSquaresProblem:
-    """Return the problem of a pass; ``below_belt`` bounds slips to start slower than the belt."""
+    """Return the problem of a pass; with ``below_belt`` slips must start slower than the belt."""
     task, windows = model.task, model.windows
     problem, (p, _, m) = task.problem, task.widths
     index = list(task.places)
@@ -321,13 +321,13 @@ def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_bel
                 lower[j] = upper[j] = q[j]
             else:
                 precision[j] = noise.fade_sd[run] ** -2.0
-    # A slip that starts beyond the belt's speed lets a curve or a drag of its own bend away from the true one.
+    # A slip that starts faster than the belt distorts a free curve or a drag.
     bounded = not task.curve.ramp and bool(below_belt or task.curve.size or task.forces)
     u = problem.start.copy()
     u[index] = q[:p]
     return LeastSquaresProblem(
         evaluate=model.evaluate,
-        some=None if model.along else model.some,
+        evaluate_cycles=None if model.along else model.evaluate_cycles,
         rows=windows.rows,
         weights=noise.weights / noise.sigma[windows.run] ** 2,
         lower=lower,
@@ -340,30 +340,32 @@ def least_squares_problem(model: Model, noise: PassNoise, q: Array, *, below_bel
     )
 
 
-LEFT_BY_OVERTAKING = 0.5  # share of a spoilt cycle's excess mean square: less is left where the mass overtakes
+OVERTAKING_EXCESS = 0.5  # excess mean square of a cycle with overtaking, over that without: smaller confirms it
 
 
-def find_overtaking(at: Fit) -> Mask:
-    asked: Mask = at.windows.spoilt(at.residual) & ~at.windows.overtaking
-    overtaking = np.zeros(asked.size, np.bool_)
-    cycles = np.flatnonzero(asked)
-    problem = at.task.problem.with_overtaking(asked)
-    task, windows = replace(at.task, problem=problem), problem.windows(thinned=True)
-    part = least_squares_problem(task.predict(windows, at.model.longest_step), at.noise, at.q).of_cycles(at.q, cycles)
-    if part is None:
+def find_overtaking(fit: Fit) -> Mask:
+    candidates: Mask = fit.windows.spoilt(fit.residual) & ~fit.windows.overtaking
+    overtaking = np.zeros(candidates.size, np.bool_)
+    cycles = np.flatnonzero(candidates)
+    problem = fit.task.problem.with_overtaking(candidates)
+    task, windows = replace(fit.task, problem=problem), problem.windows(thinned=True)
+    candidate_problem = least_squares_problem(
+        task.predict(windows, fit.model.longest_step), fit.noise, fit.q
+    ).of_cycles(fit.q, cycles)
+    if candidate_problem is None:
         return overtaking
-    fresh = cycle_starts(windows, problem.motions, problem.cycles, at.u)[cycles]
-    found = levenberg_marquardt.minimise(part, np.empty(0), fresh, **CYCLE_RESTART)
-    if found is not None:
-        run = at.windows.run
-        usual = np.array([np.median(at.cycle_rms[run == own]) for own in run[cycles]]) ** 2
-        left = windows.some(cycles).rms(found.residual) ** 2 - usual
-        overtaking[cycles] = left < LEFT_BY_OVERTAKING * (at.cycle_rms[cycles] ** 2 - usual)
+    smoothed_starts = cycle_starts(windows, problem.motions, problem.cycles, fit.u)[cycles]
+    refit = levenberg_marquardt.minimise(candidate_problem, np.empty(0), smoothed_starts, **CYCLE_RESTART)
+    if refit is not None:
+        run = fit.windows.run
+        usual_square = np.array([np.median(fit.cycle_rms[run == number]) for number in run[cycles]]) ** 2
+        excess = windows.of_cycles(cycles).rms(refit.residual) ** 2 - usual_square
+        overtaking[cycles] = excess < OVERTAKING_EXCESS * (fit.cycle_rms[cycles] ** 2 - usual_square)
     return overtaking
 
 
-def with_overtaking(at: Fit, overtaking: Mask) -> Fit | None:
-    problem = at.task.problem.with_overtaking(overtaking)
-    fresh = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, at.u)
-    local = np.where(overtaking[:, None], fresh, at.local)
-    return first_pass(replace(at.task, problem=problem), FitStart(at.q, local), at.noise)
+def refit_with_overtaking(fit: Fit, overtaking: Mask) -> Fit | None:
+    problem = fit.task.problem.with_overtaking(overtaking)
+    smoothed_starts = cycle_starts(problem.windows(thinned=True), problem.motions, problem.cycles, fit.u)
+    local = np.where(overtaking[:, None], smoothed_starts, fit.local)
+    return first_pass(replace(fit.task, problem=problem), FitStart(fit.q, local), fit.noise)

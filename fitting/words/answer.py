@@ -20,7 +20,13 @@ from fitting.judge.fluctuation import BreakAways, find_other_break_away
 from fitting.judge.friction import mass, unit
 from fitting.judge.judgement import Competition
 from fitting.judge.orbit import MeasuredOrbit
-from fitting.judge.parameters import RUNS_OWN, UNDETERMINED_WITH, Parameter, break_away_level_error, derived_parameters
+from fitting.judge.parameters import (
+    RUN_PARAMETERS,
+    UNDETERMINED_WITH,
+    Parameter,
+    break_away_level_error,
+    derived_parameters,
+)
 from fitting.laws import SIX
 from fitting.model.problem import Run
 from fitting.options import Options
@@ -170,15 +176,15 @@ def _rows_of(
     adequacy: Adequacy,
 ) -> list[LawResult]:
     """Return a law's row for each run, and last the row for all of them together; one row for a single run."""
-    runs, chosen, competitors = competition.runs, competition.chosen, options.competitors
+    runs, chosen, competitors = competition.runs, competition.model_set, options.competitors
     parts = [fit.for_run(number) for number in range(len(runs))]
     parameters = [_parameters(fit, competition, options, number) for number in range(len(runs))]
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
     motions = [run.motion for run in runs]
     if len(runs) > 1:
-        together = {name: item for name, item in parameters[0].items() if name not in RUNS_OWN}
+        together = {name: item for name, item in parameters[0].items() if name not in RUN_PARAMETERS}
         for number, own in enumerate(parameters, start=1):
-            together |= {f"{name} ({number})": own[name] for name in RUNS_OWN if name in own}
+            together |= {f"{name} ({number})": own[name] for name in RUN_PARAMETERS if name in own}
         parts, parameters, motions = [*parts, fit], [*parameters, together], [*motions, motions[0]]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
     return [

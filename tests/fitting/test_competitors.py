@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from fitting.judge.calibrations import formula_given
+from fitting.judge.calibrations import apply_to_formula
 from fitting.laws import ALL_LAWS, PUBLISHED, SIX, Competitors, Given, Law, read_law
 from stickslip.errors import InputError
 
@@ -155,7 +155,7 @@ def test_the_slope_of_a_linear_law_is_given_to_its_formula():
 )
 def test_an_end_that_is_not_given_is_that_of_the_law(given, bounds):
     """A first value took the bounds of a published law away."""
-    law = formula_given(PUBLISHED["stribeck"], {"v_s": given}, SimpleNamespace())
+    law = apply_to_formula(PUBLISHED["stribeck"], {"v_s": given}, SimpleNamespace())
     assert law.bounds["v_s"] == bounds
 
 

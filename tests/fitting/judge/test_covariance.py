@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from daq.runfile.rig import Rig
-from fitting.judge.parameters import correlations, covariance, derived_parameters, without_level_errors
+from fitting.judge.parameters import correlations, covariance, derived_parameters, remove_level_errors
 from fitting.laws import SIX
 from fitting.least_squares.normal_equations import NormalEquations
 from fitting.search.exchange import fit_laws
@@ -101,7 +101,7 @@ def test_levels_that_differ_by_their_errors_alone_do_not_show_the_belt_speed_of_
     recording = replace(belt_rig.recording(law=4, scatter=0.0), rig=Rig())
     run = cut(smooth(recording))
     (fit,) = fit_laws((SIX[4],), [run])
-    found = derived_parameters(without_level_errors(fit), run.motion, 0.05)
+    found = derived_parameters(remove_level_errors(fit), run.motion, 0.05)
     assert found["v_dr"].lo < belt_rig.Scene().belt < found["v_dr"].hi
     assert found["v_dr"].stderr > 0.2 * found["d"].value
     assert "Fs/m" not in found

@@ -52,8 +52,8 @@ def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
     assert (in_newtons(result.curve, 0.3).friction == 0.3 * result.curve.friction).all()
     nearest = nearest_published(result)
     assert nearest.law.name == "stribeck"
-    assert nearest.own_values["Fs"] == pytest.approx(result.contact.Fs / result.contact.m, rel=0.03)
-    assert nearest.own_values["v_s"] == pytest.approx(0.1, rel=0.03)
+    assert nearest.law_values["Fs"] == pytest.approx(result.contact.Fs / result.contact.m, rel=0.03)
+    assert nearest.law_values["v_s"] == pytest.approx(0.1, rel=0.03)
 
 
 def test_no_curve_is_measured_where_every_slip_lies_on_the_laws_ramp(ranked_alone):
@@ -78,7 +78,7 @@ def test_without_a_datum_the_level_is_known_from_the_scatter_of_the_levels_alone
     assert np.std(off) < 0.01 * np.median(result.truth)
     assert nearest.law.name in ("stribeck", "stribeck-viscous")
     fall = (result.contact.Fs - 0.5) / result.contact.m
-    found = nearest.own_values["Fs"] - nearest.own_values["Fc"]
+    found = nearest.law_values["Fs"] - nearest.law_values["Fc"]
     assert found == pytest.approx(fall, rel=0.03)
     parameters = derived_parameters(nearest, result.fits[0].problem.motions[0], 0.05)
     assert ("(Fs - Fc)/m" in parameters) is assumed

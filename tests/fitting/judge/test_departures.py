@@ -12,10 +12,10 @@ from fitting.judge import departures
 from fitting.judge.departures import (
     Base,
     amplitude,
-    best_scale,
     explain_misfit,
+    find_best_scale,
     find_candidates,
-    fit_with,
+    fit_departure,
     linear_steps,
     sigmas,
 )
@@ -54,7 +54,7 @@ def test_a_law_fitted_to_the_thinned_record_alone_is_compared_on_the_same_sample
     """A law far from the record does not take every sample: the gain of a departure then ended in an IndexError."""
     fit = departing(k3=HARD)
     thin = Base.at(fit, fit.problem.motions).thinned().fit
-    assert explained(replace(thin, whole=False))[0].explained == pytest.approx(explained(fit)[0].explained, rel=0.02)
+    assert explained(replace(thin, finished=False))[0].explained == pytest.approx(explained(fit)[0].explained, rel=0.02)
 
 
 @pytest.mark.slow
@@ -86,7 +86,7 @@ def test_the_size_of_what_was_put_in_comes_back(departing, name, changes, size, 
 @pytest.mark.slow
 def test_a_drag_that_the_free_curve_takes_up_is_fitted_with_the_law(departing):
     """A linear step alone gave its size: 9 % too little."""
-    first = explained(departing(drag=0.15), chi=1.0, describes=lambda refit: refit.usual_rms < 1.05 * NOISE)[0]
+    first = explained(departing(drag=0.15), chi=1.0, describes=lambda refit: refit.median_rms < 1.05 * NOISE)[0]
     assert (first.name, first.refitted, first.law) == ("drag-quadratic", True, 5)
     assert first.value == pytest.approx(0.15 / 0.3, rel=0.04)
     assert abs(first.value - 0.15 / 0.3) < 4 * first.stderr
@@ -106,22 +106,24 @@ def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeyp
     fits = [SimpleNamespace(law=SIX[law]) for law in (5, 3)]
     left = {SIX[5]: 1.005 * NOISE, SIX[3]: 0.97 * NOISE}
     monkeypatch.setattr(
-        departures, "_fit_with", lambda _, fit, noise, tested: SimpleNamespace(law=fit.law, usual_rms=left[fit.law])
+        departures,
+        "_fit_law_with_departure",
+        lambda _, fit, noise, tested: SimpleNamespace(law=fit.law, median_rms=left[fit.law]),
     )
-    assert fit_with(None, fits, NOISE).law == SIX[3]
+    assert fit_departure(None, fits, NOISE).law == SIX[3]
     left[SIX[3]] = 1.2 * NOISE
-    assert fit_with(None, fits, NOISE).law == SIX[5]
+    assert fit_departure(None, fits, NOISE).law == SIX[5]
 
 
 def test_a_departure_that_is_not_there_is_not_confirmed(departing, base_of):
     found = find_candidates(base_of(k3=HARD), NOISE)
     (other,) = (candidate for candidate in found if candidate.departure.name == "second-mode")
-    assert fit_with(other, [departing(k3=HARD)], NOISE) is None
+    assert fit_departure(other, [departing(k3=HARD)], NOISE) is None
 
 
 def test_a_departure_that_no_law_describes_the_record_with_is_not_named(departing, monkeypatch):
     # A wheel, a second mass or "friction that remembers" was named with the size of one linear step.
-    monkeypatch.setattr(departures, "_fit_with", lambda *_, **__: None)
+    monkeypatch.setattr(departures, "_fit_law_with_departure", lambda *_, **__: None)
     assert explained(departing(k3=HARD)) == ()
 
 
@@ -169,15 +171,15 @@ def test_a_column_that_the_fit_adjusts_explains_nothing_and_two_alike_end_in_no_
 def test_a_known_revolution_is_not_scanned(base_of):
     base, eccentricity = base_of(), LIBRARY["eccentricity"]
     known = replace(base, motion=replace(base.motion, revolution=0.12566))
-    assert best_scale(known, eccentricity) == 0.12566
-    assert best_scale(base, eccentricity) != pytest.approx(0.12566, rel=1e-3)
+    assert find_best_scale(known, eccentricity) == 0.12566
+    assert find_best_scale(base, eccentricity) != pytest.approx(0.12566, rel=1e-3)
 
 
 def test_a_thinned_record_chooses_the_same_scale(base_of):
     base, departure = base_of(k3=HARD), LIBRARY["friction-by-mass-position"]
     thin = base.thinned()
     assert thin.linear.residual.size < 0.5 * base.linear.residual.size
-    assert best_scale(thin, departure) == pytest.approx(best_scale(base, departure), rel=0.1)
+    assert find_best_scale(thin, departure) == pytest.approx(find_best_scale(base, departure), rel=0.1)
 
 
 def test_more_trials_take_standard_deviations_away():

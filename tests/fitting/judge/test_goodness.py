@@ -11,7 +11,15 @@ import pytest
 from fitting import job, rank
 from fitting.judge import goodness
 from fitting.judge.adequacy import Adequacy
-from fitting.judge.goodness import REJECTED, GoodnessOfFit, RunSlips, SlipBins, cycle_squares, probability, tail
+from fitting.judge.goodness import (
+    REJECTED,
+    GoodnessOfFit,
+    RunSlips,
+    SlipBins,
+    compute_p_value,
+    cycle_squares,
+    tail_probability,
+)
 from fitting.words import warnings
 from processing.smoothing import smooth
 
@@ -50,19 +58,19 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
         noise = rng.standard_normal((wave.size, 90))
         null = bins.statistics(noise[:, :60], cycle_squares(noise[:, :60], cycles))
         run = RunSlips(None, 1.0, bins, 0.0, None, null, np.ones(12, bool), ())
-        size = goodness.half_seen(run, *binned(wave))
+        size = goodness.detectable_amplitude(run, *binned(wave))
         for residual in (noise[:, 60:] + size * wave[:, None]).T[:, :, None]:
             seen = bins.statistics(residual, cycle_squares(residual, cycles))
-            rejected.append(probability(replace(run, seen=seen)) < REJECTED)
+            rejected.append(compute_p_value(replace(run, of_record=seen)) < REJECTED)
     assert 0.2 < np.mean(rejected) < 0.8
-    assert goodness.half_seen(run, *binned(rng.standard_normal(wave.size))) == np.inf
+    assert goodness.detectable_amplitude(run, *binned(rng.standard_normal(wave.size))) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():
     null = np.random.default_rng(3).gamma(30.0, 0.1, 4000)
-    assert tail(float(np.quantile(null, 0.99)), null) == pytest.approx(0.01, rel=0.2)
-    assert tail(1e3, null) < 1e-100
-    assert tail(5.0, np.full(60, 0.1)) is None  # the same in all repetitions: it was 1, so every law passed
+    assert tail_probability(float(np.quantile(null, 0.99)), null) == pytest.approx(0.01, rel=0.2)
+    assert tail_probability(1e3, null) < 1e-100
+    assert tail_probability(5.0, np.full(60, 0.1)) is None  # the same in all repetitions: it was 1, so every law passed
 
 
 def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():

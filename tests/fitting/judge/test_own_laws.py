@@ -14,7 +14,7 @@ import fitting
 from daq.runfile import listing
 from daq.runfile.rig import Rig
 from fitting import job, rank
-from fitting.judge.parameters import RUNS_OWN
+from fitting.judge.parameters import RUN_PARAMETERS
 from fitting.laws import SIX
 from fitting.report import page
 from processing.smoothing import smooth
@@ -264,7 +264,7 @@ def test_runs_are_fitted_together_with_a_formula(smoothed):
         side = ranking.sides[number - 1].row("mine")
         assert not {name for name in side.parameters if "(1)" in name}
         assert len(side.fit.cycles) < len(row.fit.cycles)
-    assert not set(RUNS_OWN) & row.parameters.keys()
+    assert not set(RUN_PARAMETERS) & row.parameters.keys()
     assert abs(row.parameters["v_s"].value - 1 / 9.618) < 4 * row.parameters["v_s"].stderr
     document = application.plain(ranking.as_json())
     assert "mine" in document["runs"][0]["rms_by_law"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.judge.evidence import Evidence, model_confidence_set, no_larger
+from fitting.judge.evidence import Evidence, fits_as_well, model_confidence_set
 from fitting.laws import SIX
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
@@ -205,4 +205,4 @@ def test_a_law_is_excluded_where_a_calibration_would_be_contradicted(errors_apar
     noise = 0.1 * np.random.default_rng(4).standard_normal(200)
     noise -= noise.mean()
     lag = errors_apart * noise.std(ddof=1) / math.sqrt(noise.size)
-    assert no_larger(lag + noise, np.zeros(noise.size), 1e6) is within
+    assert fits_as_well(lag + noise, np.zeros(noise.size), 1e6) is within

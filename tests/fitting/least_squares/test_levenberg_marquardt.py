@@ -38,7 +38,7 @@ def problem(evaluate, rows=ROWS, shared=SHARED, own=LOCAL, some=None, **changes)
         "local_precision": np.full((cycles, own), 1e-12),
     }
     some = some and (lambda u, cycles, some=some: in_one_block(some(u, cycles)))
-    return LeastSquaresProblem(in_one_block(evaluate), rows, some=some, **values | changes)
+    return LeastSquaresProblem(in_one_block(evaluate), rows, evaluate_cycles=some, **values | changes)
 
 
 def minimise(task, u=0.0, local=0.0, **how):
@@ -98,7 +98,7 @@ def test_own_unknowns_that_begin_beyond_their_bounds_are_brought_within(linear):
 
 def test_one_last_step_ends_a_linear_search_and_leaves_no_gradient(linear):
     task = problem(linear[0])
-    found, ended = levenberg_marquardt.last_step(task, minimise(task, max_steps=1)), minimise(task)
+    found, ended = levenberg_marquardt.take_last_step(task, minimise(task, max_steps=1)), minimise(task)
     assert found.u == pytest.approx(ended.u, abs=1e-6)
     assert found.cost == pytest.approx(ended.cost, rel=1e-9)
     exact = levenberg_marquardt.linearise(task, found.u, found.local).blocks
@@ -213,7 +213,9 @@ def test_one_cycle_gone_astray_does_not_hold_up_the_others():
         return cycles + 1.0, np.ones(cycles.size)
 
     task = of_one_unknown_each(residual, slopes, 1e-4, weights=np.r_[np.ones(CYCLES - 1), 0.01])
-    found, held_up = (minimise(one, 2.9, max_steps=8, tolerance=1e-10) for one in (task, replace(task, some=None)))
+    found, held_up = (
+        minimise(one, 2.9, max_steps=8, tolerance=1e-10) for one in (task, replace(task, evaluate_cycles=None))
+    )
     assert found.local[-1, 0] <= 0.5
     assert found.u[0] == pytest.approx(3.0, abs=0.1)
     assert found.cost < 0.2 * held_up.cost
@@ -229,7 +231,7 @@ def test_a_cycle_in_a_bent_valley_of_its_own_costs_few_steps():
         return np.where(first, -1e4 * math.exp(u), 1.0), np.where(first, 1e4, 0.0)
 
     task = of_one_unknown_each(residual, slopes, 1e-6)
-    found, alone = (minimise(one, tolerance=1e-10) for one in (task, replace(task, some=None)))
+    found, alone = (minimise(one, tolerance=1e-10) for one in (task, replace(task, evaluate_cycles=None)))
     assert found.u[0] == pytest.approx(2.0, abs=1e-4)
     assert found.local[0, 0] == pytest.approx(math.expm1(found.u[0]), rel=1e-6)
     assert found.steps <= alone.steps / 2

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from fitting.model.flow import remaining
+from fitting.model.flow import fade_factor
 from fitting.model.unknowns import PER_RUN, Global, PerCycle, Values
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, POSITIVE, RAMP, STICK
@@ -88,7 +88,7 @@ def exact_positions(curve, ramp, windows, u, local):
         # The level fades steadily; the flow's is constant, so it is lowered in small steps.
         steady = p.fade == 0.0 or mode == STICK
         end = last if steady else min(t + FADE_STEP / math.sqrt(p.K), last)
-        factor = hold * level * remaining(p.fade, 0.5 * (t + end), windows.level_epoch[0])
+        factor = hold * level * fade_factor(p.fade, 0.5 * (t + end), windows.level_epoch[0])
         # per unit mass; the curve reads the one shape parameter that it has
         law = (curve, int(ramp), p.F, static, factor, p.shape * p.F, p.shape, hold * p.d)
         flow = Flow(1.0, p.K, p.datum, p.damping, p.v_dr, *law, amplitude, omega, phase, hold * droop, 0, NO_TABLE)

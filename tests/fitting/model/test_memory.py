@@ -79,7 +79,7 @@ def first_start(law, contact):
     problem = memory.MemoryProblem.of_law(law, [run_of(contact)])
     values, u = next(starting_values(law, problem, nearest(contact)))
     task = memory.memory_task(law, problem, values)
-    return task, memory.start_beside(task, u)
+    return task, memory.warm_start(task, u)
 
 
 def truth(law):
@@ -93,7 +93,7 @@ def truth(law):
 @pytest.mark.parametrize("law", CONTACTS)
 def test_a_law_with_memory_gives_its_parameters_from_positions(law):
     fit = fit_memory(MEMORY[law], [run_of(law)], nearest(law))
-    assert fit.whole
+    assert fit.finished
     assert fit.outcome == "converged"
     assert fit.geometric_mean_rms == pytest.approx(NOISE, rel=0.03)
     sd = np.sqrt(np.diag(SchurComplement(fit.solution.blocks).covariance))

@@ -155,9 +155,9 @@ def test_some_cycles_are_predicted_as_among_all(one_window):
     local = np.vstack([start(0.12, 0.15), start(-0.1, 0.2, stick=True), start(0.1, 0.05, level=1.1)])
     cycles = np.array([0, 2])
     position = positions(windows, Curve(HYPERBOLIC, True), u, local)
-    own = positions(windows.some(cycles), Curve(HYPERBOLIC, True), u, local[cycles])
+    own = positions(windows.of_cycles(cycles), Curve(HYPERBOLIC, True), u, local[cycles])
     assert np.array_equal(own, position[np.r_[0:50, 90:121]])
-    assert windows.some(cycles).rows == (slice(0, 50), slice(50, 81))
+    assert windows.of_cycles(cycles).rows == (slice(0, 50), slice(50, 81))
 
 
 def spline_of(function, fastest=0.9, pieces=13):

@@ -109,7 +109,7 @@ def on(formula, values, *, level_sd=0.0, offset=0.0, **law):
     """Return the law and the nearest start on its own curve with these values, moved by an offset."""
     made = Law("mine", formula, **law)
     near = target(made.curve.value(SPEEDS, values) + offset, 0.01)
-    return made, find_starts(made, near.off_by_a_constant(level_sd))[0]
+    return made, find_starts(made, near.with_unknown_constant(level_sd))[0]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_a_level_that_is_not_known_is_made_up_for():
     assert found.values == pytest.approx({"Fs": 4.6, "gamma": 9.6}, rel=1e-6)
     near = target(4.6 / (1 + 9.6 * SPEEDS) - 1.0, 0.01)
     own = 4.6 / (1 + 9.6 * SPEEDS)
-    assert near.constant_beside(own, 5.0) == pytest.approx(-1.0, abs=1e-6)
+    assert near.nearest_constant(own, 5.0) == pytest.approx(-1.0, abs=1e-6)
     # a formula with a constant hides it
     _, found = on("Fc + a*exp(-s/v)", {"Fc": 2.0, "a": 2.0, "v": 0.1}, offset=-1.0, level_sd=5.0)
     assert found.values["Fc"] == pytest.approx(1.0, rel=1e-6)

@@ -12,12 +12,12 @@ from fitting.judge.library import DEPARTURES
 from fitting.laws import SIX
 from fitting.model.flow import LONGEST_STEP
 from fitting.model.forces import Force
-from fitting.model.predict import Model, curve_knots, free_curve_task, law_task, regressed_curve
+from fitting.model.predict import Model, curve_knots, free_curve_task, law_task, regress_curve
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_CYCLE, Global, PerCycle
 from fitting.search import exchange
 from fitting.search.exchange import exchange_starts, fit_laws
-from fitting.search.passes import finish, first_pass, regressed_start, settle
+from fitting.search.passes import finish, first_pass, settle, start_from_regression
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
 
@@ -119,7 +119,7 @@ def test_a_search_that_is_lost_starts_again(simulated):
     """Law 5 ended 0.3 to 0.6 mm off by itself: cycles in poor minima of their own held k/m 2 to 3 % off."""
     run = cut(simulated(*HARSH, duration=30.0))
     task = law_task(SIX[5], [run])
-    lost = first_pass(task, regressed_start(task))
+    lost = first_pass(task, start_from_regression(task))
     assert lost.geometric_mean_rms > noise_levels.LOST * run.motion.resolution
     (found,) = fit_laws((SIX[5],), [run])
     assert found.geometric_mean_rms < 2 * run.motion.resolution
@@ -155,7 +155,7 @@ def test_a_law_of_few_samples_a_slip_ends_where_its_own_regression_leads(belt_ri
     """Of slips of 10 samples law 5 went on from law 3's end, and left 10 times the noise that its regression led to."""
     run = sampled_coarsely(belt_rig, tmp_path, "hyperbolic", 20.0)
     task = law_task(SIX[5], [run])
-    alone = finish(settle(first_pass(task, regressed_start(task))))
+    alone = finish(settle(first_pass(task, start_from_regression(task))))
     assert errors_of([5], [run])[5] <= 1.0005 * alone.geometric_mean_rms
 
 
@@ -163,7 +163,7 @@ def test_a_law_of_few_samples_a_slip_ends_where_its_own_regression_leads(belt_ri
 def settled(runs_of):
     """Give law 5 settled on a record that it made."""
     task = law_task(SIX[5], runs_of(law=5, seed=1, duration=10.0))
-    return settle(first_pass(task, regressed_start(task)))
+    return settle(first_pass(task, start_from_regression(task)))
 
 
 def astray(at, times):
@@ -193,7 +193,7 @@ def test_a_fit_of_every_sample_is_not_replaced_by_one_of_the_thinned_record(sett
 def test_a_settled_fit_that_errs_more_than_its_first_pass_is_not_kept(settled, monkeypatch):
     """Law 4 at 136 um settled at 361 um, and law 6, which started from there, missed its break-away level."""
     monkeypatch.setattr(exchange, "settle", lambda fit: astray(fit, 1.1))
-    assert exchange.settle_lower(settled) is settled
+    assert exchange.settle_unless_worse(settled) is settled
 
 
 @pytest.mark.parametrize("free", [False, True])
@@ -203,13 +203,13 @@ def test_derivatives_are_differences_of_the_residuals(runs_of, free, force):
     if free:
         problem, knots = EstimationProblem.build(SIX[5], runs), curve_knots(runs, 0.0)
         start = problem.start.copy()
-        start[Global.K], coefficients = regressed_curve(runs, start, knots, 0.0)
+        start[Global.K], coefficients = regress_curve(runs, start, knots, 0.0)
         task = replace(free_curve_task(problem, knots, start, coefficients), forces=forces)
     else:
         task = law_task(SIX[5], runs, forces)
-    windows = task.problem.windows(thinned=True).some(np.arange(3))
+    windows = task.problem.windows(thinned=True).of_cycles(np.arange(3))
     model = Model(task, windows, LONGEST_STEP)
-    q, local = regressed_start(task)
+    q, local = start_from_regression(task)
     local = local[:3]
     if force is not None:
         q[-1] = 0.05

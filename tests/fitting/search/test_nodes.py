@@ -16,7 +16,7 @@ def test_every_sample_counts_once_a_constant_stays_and_windows_keep_their_ends(r
     assert nodes.count.sum() == pytest.approx(every.time.size)
     assert own.rows[-1].stop == own.time.size == nodes.count.size
     assert (own.time.size == every.time.size) == (stride == 1)
-    seen = nodes.seen(own.position, np.full(every.time.size, 3e-6))
+    seen = nodes.with_mean_residuals(own.position, np.full(every.time.size, 3e-6))
     assert own.position - seen.position == pytest.approx(np.full(nodes.count.size, 3e-6))
     for last in (0, 1):  # the first sample of each window, and its last
         ends = [w.table[:, 2] + last * (w.table[:, 3] - 1) for w in (own, every)]
