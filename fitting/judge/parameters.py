@@ -369,9 +369,7 @@ def friction_band(fit: Fit, motion: MeasuredMotion, speed: Array, alpha: float) 
         step[k] = 1e-6 * max(abs(value), 1e-6)
         slopes.append((friction_of(constraints.q + step) - friction_of(constraints.q - step)) / (2 * step[k]))
     variance = np.einsum("in,sij,jn->sn", slopes, constraints.covariances, slopes).max(axis=0)
-    of_lengths = (
-        (friction_of(constraints.q, 1 + 1e-6) - friction_of(constraints.q, 1 - 1e-6)) / 2e-6 * motion.length_error
-    )
+    by_length = (friction_of(constraints.q, 1 + 1e-6) - friction_of(constraints.q, 1 - 1e-6)) / 2e-6
     scale = motion.mass or motion.stiffness
     of_scale = 0.0 if scale is None else scale.sd / scale.value * friction_of(constraints.q)
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
