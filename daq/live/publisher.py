@@ -14,12 +14,14 @@ An event is one JSON document with these members, each only if there is somethin
     marker              a person's: {"t", "text"}
     progress            share of a finished run that has been read
     ended               how the recording ended, as text: the last event
+    next, duration      the command that comes after it, and the duration of the recording, s
 """
 
 import asyncio
 import json
 import math
 import os
+import shlex
 import time
 from abc import ABC, abstractmethod
 from bisect import bisect_right
@@ -36,7 +38,7 @@ from daq.finalise import claim
 from daq.live.analysis import LiveAnalysis, motion_columns, round_for_json
 from daq.live.finished import RunSamples
 from daq.live.motion import LONGEST_PARABOLA, LiveFilter, LiveMotion
-from daq.live.tail import JournalTail, JournalTotals
+from daq.live.tail import JournalTail, JournalTotals, NewSamples
 from daq.runfile import journal
 from stickslip.compute.arrays import Array, joined, rows
 from stickslip.errors import InputError
@@ -156,9 +158,16 @@ class Publisher(ABC):
         self._came.set()
         self._came = asyncio.Event()
 
-    def _end(self, words: str) -> None:
+    def _end(self, words: str, **members: str | float) -> None:
         self.ended = words
-        self._send({"ended": words})
+        self._send({"ended": words, **members})
+
+    @property
+    def _run_file(self) -> Path:
+        return self.path.with_name(self.path.name.removesuffix(".part")).absolute()
+
+    def _suggest_fit(self) -> dict[str, str]:
+        return {"next": f"fit-friction {shlex.quote(str(self._run_file))}"}
 
 
 class LiveRun(Publisher):
@@ -174,6 +183,7 @@ class LiveRun(Publisher):
         self._trouble = ""
         self._losses: deque[tuple[float, int]] = deque([(0.0, 0)])
         self._places: list[tuple[float, JournalTail]] = [(-math.inf, self.tail.fork())]
+        self._markers: deque[tuple[int, str]] = deque()  # stamp in monotonic ns, text; their samples are yet to come
         self._spacing_s = 1.0
 
     async def follow(self) -> None:
@@ -183,7 +193,7 @@ class LiveRun(Publisher):
                 self.look()
             except Exception as error:
                 self.failure = error
-                self._end(f"the view has failed ({error}); the recording goes on")
+                self._end(f"The view failed ({error}); the recording continues")
             now = time.monotonic()
             due = max(due + LOOK_EVERY_S, now)  # a look that is late does not make the next ones follow at once
             await asyncio.sleep(due - now)
@@ -203,6 +213,7 @@ class LiveRun(Publisher):
         if pieces:
             self._last_new, self._now = time.monotonic(), float(pieces[-1].time[-1])
             self._remember()
+            self._send_markers(pieces)
         summary: dict[str, Any] = {}
         if self._last_new - self._summed >= SUMMARY_EVERY_S or self.tail.ended:
             self._summed = self._last_new
@@ -213,21 +224,31 @@ class LiveRun(Publisher):
             self._publish(np.concatenate(motions, axis=1) if motions else None, summary)
         if self.tail.ended:
             words = {journal.COMPLETE: "complete", journal.STOPPED: "stopped by the user"}
-            self._end(f"the recording has ended: {words.get(self.tail.ended, self.tail.ended)}")
+            ending = words.get(self.tail.ended, f"ended: {self.tail.ended}")
+            self._end(f"Recording {ending}", duration=self._now, **self._suggest_fit())
         elif time.monotonic() - self._last_new > GONE_AFTER_S and not claim.is_locked(self.tail.path):
-            self._end(f"the recording process is gone: daq recover {self.tail.path.name}")
+            self._end(f"The recording process is gone. Save the data with daq recover {self.tail.path.name}")
 
     def mark(self, text: str) -> None:
-        """Store a marker of the current time next to the journal; the finaliser makes it an event."""
+        """Store a marker next to the journal; pages receive it with the sample that the finaliser assigns to it."""
         if self.ended:
             raise NotPossibleError("the recording has ended; use daq note --mark")
         label = " ".join(text.split())[:LONGEST_MARKER] or "marker"
+        stamp_ns = time.monotonic_ns()
         handle = os.open(journal.markers_path(self.tail.path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
-            os.write(handle, f"{time.monotonic_ns()} {label}\n".encode())
+            os.write(handle, f"{stamp_ns} {label}\n".encode())
         finally:
             os.close(handle)
-        self._send({"marker": {"t": self._now, "text": label}})
+        self._markers.append((stamp_ns, label))
+
+    def _send_markers(self, pieces: list[NewSamples]) -> None:
+        """Send the markers set before the last of these samples, each at the first sample received after it."""
+        for piece in pieces:
+            while piece.stamp_ns is not None and self._markers and self._markers[0][0] <= piece.stamp_ns[-1]:
+                stamp_ns, label = self._markers.popleft()
+                marked = float(piece.time[np.searchsorted(piece.stamp_ns, stamp_ns)])
+                self._send({"marker": {"t": marked, "text": label}})
 
     def stop(self) -> None:
         """Create the file next to the journal that asks its recorder to stop."""
@@ -240,7 +261,8 @@ class LiveRun(Publisher):
         samples = header["samples"]
         return {
             "title": header["title"],
-            "file": self.path.name.removesuffix(".part"),
+            "file": self._run_file.name,
+            "path": str(self._run_file),
             "rate": self.rate_hz,
             "duration": None if samples is None else samples / self.rate_hz,
             "every": self._stride,
@@ -300,10 +322,8 @@ class LiveRun(Publisher):
         except OSError:
             is_finished = False
         if is_finished:
-            return "the recording has ended"
-        return (
-            f"{self.path.name} has been moved or removed; the terminal of daq record says where the recording goes on"
-        )
+            return "Recording ended"
+        return f"{self.path.name} has been moved or removed; the terminal of daq record shows where it continues"
 
     def _publish(self, motion: Array | None, summary: dict[str, Any]) -> None:
         texts: dict[str, str] = {}
@@ -335,7 +355,7 @@ class FinishedRun(Publisher):
             await self._read(self.analysis)
         except Exception as error:
             self.failure = error
-            self._end(f"the run cannot be read ({error})")
+            self._end(f"The run cannot be read ({error})")
             return
         self._progress = 1.0
         self._send_progress()
@@ -361,13 +381,22 @@ class FinishedRun(Publisher):
 
     def _send_progress(self) -> None:
         counts = vars(self.samples.counts)
-        self._send({"counts": counts, "unit": self.analysis.unit, "progress": self._progress, **self._new_members()})
+        self._send(
+            {
+                "counts": counts,
+                "unit": self.analysis.unit,
+                "progress": self._progress,
+                **self._suggest_fit(),
+                **self._new_members(),
+            }
+        )
 
     def describe_run(self) -> dict[str, Any]:
         run, times = self.samples.header, self.samples.times
         return {
             "title": run.title,
-            "file": self.path.name,
+            "file": self._run_file.name,
+            "path": str(self._run_file),
             "rate": self.rate_hz,
             "duration": round_for_json(float(times[-1] - times[0])),
             "every": 1,

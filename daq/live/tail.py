@@ -44,6 +44,7 @@ class NewSamples:
     fresh: np.typing.NDArray[np.bool_]
     # (k,) m, of the belt's encoder, each segment from its own reading; None without one
     belt: Array | None = None
+    stamp_ns: np.typing.NDArray[np.int64] | None = None  # (k,) host's monotonic clock at reception; None in a run file
 
 
 @dataclass
@@ -196,7 +197,7 @@ class JournalTail:
         belt_position = (
             None if samples.belt is None or pitch is None else pitch.value * belt[n_known:].astype(np.float64)
         )
-        return [NewSamples(time, positions(count, self.rig), fresh, belt_position)]
+        return [NewSamples(time, positions(count, self.rig), fresh, belt_position, new.stamp_ns)]
 
     def _unpack_blocks(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:
         if self._configuration and not self._calibrated:
@@ -213,7 +214,7 @@ class JournalTail:
                 position = positions(values.astype(np.int64), self.rig) if values.dtype.kind == "i" else values
                 fresh = np.zeros(len(samples), np.bool_)
                 fresh[checked.starts] = True
-                pieces.append(NewSamples(samples.time, position.astype(np.float64), fresh))
+                pieces.append(NewSamples(samples.time, position.astype(np.float64), fresh, None, samples.stamp_ns))
         return pieces
 
     def _find_last(self, samples: timeline.Samples) -> int:
