@@ -255,11 +255,11 @@ class LiveAnalysis:
         break_away = self._spreads["break_away"]
         load = balance.k_over_m * (forward * break_away.mean - balance.x0) + balance.c_over_m * self.belt.value
         return {
-            "w": [round_for_json(-forward * speed) for speed in curve.speed.tolist()],
-            "F": [round_for_json(mass * value) for value in curve.friction.tolist()],
+            "speed": [round_for_json(speed) for speed in curve.speed.tolist()],
+            "F": [round_for_json(forward * mass * value) for value in curve.friction.tolist()],
             "sd": [round_for_json(mass * value) for value in curve.sd.tolist()],
             "slips": curve.slips,
-            "break_away": round_for_json(mass * load),
+            "break_away": round_for_json(forward * mass * load),
             "break_away_sd": round_for_json(mass * balance.k_over_m * break_away.sd),
         }
 
@@ -272,10 +272,10 @@ def motion_columns(motion: LiveMotion, piece: int = 0) -> Array:
 def advise(cycles: int) -> str:
     """Return as text whether so many cycles are enough for a verdict, and the effect of more of them."""
     if cycles < FEWEST_CYCLES:
-        return f"a verdict needs {FEWEST_CYCLES} whole cycles at least"
+        return f"a verdict needs at least {FEWEST_CYCLES} whole cycles"
     more = f"{4 * cycles} cycles would halve the standard errors"
     if cycles < FEW_CYCLES:
-        return f"enough for a verdict, but one disturbed cycle may decide it; {more}"
+        return f"enough for a verdict, but a single bad cycle could change it; {more}"
     return f"enough for a verdict; {more}"
 
 

@@ -135,9 +135,9 @@ def test_a_finished_run_is_shown_with_its_cycles_belt_spring_and_friction(run_pa
     assert all(len(numbers(row)) == 5 for row in rows)
     for picture, colour in (("trace", "x"), ("trace", "v"), ("portrait", "x"), ("friction", "f"), ("friction", "v")):
         assert coloured(run_page, picture, tmp_path, colour) > 50, (picture, colour)
-    # One sign everywhere: relative velocity is that of the mass less the belt's, and friction opposes it.
-    assert run_page.evaluate("friction.axes[0].label") == "relative velocity: mass minus belt (m/s)"
-    assert run_page.evaluate("Math.max(...summary.friction.w) < 0 && Math.min(...summary.friction.F) > 0")
+    # The report's sign.
+    assert run_page.evaluate("friction.axes[0].label") == "relative speed (m/s)"
+    assert run_page.evaluate("Math.min(...summary.friction.speed) > 0 && Math.min(...summary.friction.F) > 0")
     assert run_page.evaluate("markers.map(marker => [marker.t, marker.text])") == [
         [pytest.approx(3.0, abs=0.01), "a hand"]
     ]
@@ -332,7 +332,7 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
             frames = page.evaluate("document.body.dataset.frames")
             page.wait_for_timeout(500)
             assert page.evaluate("document.body.dataset.frames") == frames, "paused, and it goes on drawing"
-            assert text(page, "pause") == "go on"
+            assert text(page, "pause") == "Resume"
             end = page.evaluate("view.to")
             page.keyboard.press("Home")  # scrolling back while it is paused
             until(page, "view.from === 0 && shown.rows.t[shown.rows.first] < 0.1")
@@ -349,7 +349,9 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
             assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (
                 "wider than a phone's screen"
             )
-            says(page, "state", "ended", 60.0)
+            says(page, "state", "Recording complete", 60.0)
+            says(page, "result", "14,000 samples, 14.0 s, no gaps.  Next: fit-friction")
+            assert str(tmp_path / "run.h5") in text(page, "result")
             drawn = page.evaluate("({ t: samples.t, x: samples.x, markers })")
             assert page.locator("#stop").is_disabled()
             until(page, "whole !== null")  # all of it can still be looked at
@@ -367,7 +369,7 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
     np.testing.assert_allclose(x[: last - first], run.position[first:last], rtol=1e-6)
     at = run.event_kind.index("marker")
     assert run.event_note[at] == drawn["markers"][0]["text"] == "a hand"
-    assert abs(run.time[run.event_sample[at]] - drawn["markers"][0]["t"]) < 1.0
+    assert run.time[run.event_sample[at]] == pytest.approx(drawn["markers"][0]["t"], abs=1e-6)
 
 
 def test_the_stop_button_asks_once_and_ends_the_recording_cleanly(browser, tmp_path):
@@ -377,7 +379,7 @@ def test_the_stop_button_asks_once_and_ends_the_recording_cleanly(browser, tmp_p
             page.click("#stop")
             page.keyboard.press("Escape")  # not yet
             page.click("#stop")
-            page.keyboard.press("Enter")  # the first button goes on recording
+            page.keyboard.press("Enter")  # the first button resumes recording
             page.wait_for_timeout(1500)
             assert not journal.stop_path(tmp_path / "run.h5").exists()
             assert text(page, "state") in ("stick", "slip", "moving")
@@ -434,7 +436,7 @@ def test_losses_a_vanished_journal_and_a_viewer_that_is_gone_are_said_in_the_pag
             until(page, "Number(document.getElementById('lost').textContent) > 100")
             assert page.locator("#lost").evaluate("field => field.classList.contains('wrong')")
             viewer.kill()
-            says(page, "trouble", "the viewer does not answer; a recording goes on without it", 20.0)
+            says(page, "trouble", "The viewer does not respond. The recording continues without it.", 20.0)
             says(page, "state", "no connection")
         with command("watch", part.name, cwd=tmp_path) as (_, url), opened(browser, url) as page:
             until(page, "Number(document.body.dataset.frames) > 5")
