@@ -14,7 +14,7 @@ An event is one JSON document with these members, each only if there is somethin
     marker              a person's: {"t", "text"}
     progress            share of a finished run that has been read
     ended               how the recording ended, as text: the last event
-    next, duration      the command that comes after it, and the duration of the recording, s
+    duration            of the recording that has ended, s
 """
 
 import asyncio
@@ -143,8 +143,12 @@ class Publisher(ABC):
         return {"summary": self.analysis.summarise(), "break_aways": _round_break_aways(new)}
 
     def _all_members(self) -> dict[str, Any]:
-        """Return the same members for a page that connects: all break-aways."""
+        """Return the same members for a page that connects: all break-aways; the run file, and the next command."""
+        run = self.path.with_name(self.path.name.removesuffix(".part")).absolute()
         return {
+            "file": run.name,
+            "path": str(run),
+            "next": f"fit-friction {shlex.quote(str(run))}",
             "summary": self.analysis.summarise(),
             "break_aways": _round_break_aways(list(self.analysis.break_aways)),
         }
@@ -158,16 +162,9 @@ class Publisher(ABC):
         self._came.set()
         self._came = asyncio.Event()
 
-    def _end(self, words: str, **members: str | float) -> None:
+    def _end(self, words: str, **members: float) -> None:
         self.ended = words
         self._send({"ended": words, **members})
-
-    @property
-    def _run_file(self) -> Path:
-        return self.path.with_name(self.path.name.removesuffix(".part")).absolute()
-
-    def _suggest_fit(self) -> dict[str, str]:
-        return {"next": f"fit-friction {shlex.quote(str(self._run_file))}"}
 
 
 class LiveRun(Publisher):
@@ -225,7 +222,7 @@ class LiveRun(Publisher):
         if self.tail.ended:
             words = {journal.COMPLETE: "complete", journal.STOPPED: "stopped by the user"}
             ending = words.get(self.tail.ended, f"ended: {self.tail.ended}")
-            self._end(f"Recording {ending}", duration=self._now, **self._suggest_fit())
+            self._end(f"Recording {ending}", duration=self._now)
         elif time.monotonic() - self._last_new > GONE_AFTER_S and not claim.is_locked(self.tail.path):
             self._end(f"The recording process is gone. Save the data with daq recover {self.tail.path.name}")
 
@@ -261,8 +258,6 @@ class LiveRun(Publisher):
         samples = header["samples"]
         return {
             "title": header["title"],
-            "file": self._run_file.name,
-            "path": str(self._run_file),
             "rate": self.rate_hz,
             "duration": None if samples is None else samples / self.rate_hz,
             "every": self._stride,
@@ -381,22 +376,12 @@ class FinishedRun(Publisher):
 
     def _send_progress(self) -> None:
         counts = vars(self.samples.counts)
-        self._send(
-            {
-                "counts": counts,
-                "unit": self.analysis.unit,
-                "progress": self._progress,
-                **self._suggest_fit(),
-                **self._new_members(),
-            }
-        )
+        self._send({"counts": counts, "unit": self.analysis.unit, "progress": self._progress, **self._new_members()})
 
     def describe_run(self) -> dict[str, Any]:
         run, times = self.samples.header, self.samples.times
         return {
             "title": run.title,
-            "file": self._run_file.name,
-            "path": str(self._run_file),
             "rate": self.rate_hz,
             "duration": round_for_json(float(times[-1] - times[0])),
             "every": 1,

@@ -46,7 +46,7 @@ function receive(event) {
   if (message.summary) setSummary(message);
   if (message.progress !== undefined && facts) {
     facts.progress = message.progress; past = null; // there is more of it now
-    if (message.progress === 1) showResult(message.next);
+    if (message.progress === 1) showResult();
   }
   if (message.t) {
     waiting = message;
@@ -67,7 +67,7 @@ function setSummary(message) {
 
 function end(message) {
   ended = message.ended;
-  if (message.next) { facts.duration = message.duration; showResult(message.next); }
+  if (message.duration) { facts.duration = message.duration; showResult(); }
   source.close();
   if (!facts || !facts.finished) askForAll();
   element("stop").disabled = element("mark").disabled = true;
@@ -75,12 +75,12 @@ function end(message) {
 }
 
 // Where the recording is, what it holds, and the command that comes next.
-function showResult(next) {
+function showResult() {
   const { samples: n, segments, lost } = latest.counts, gaps = Math.max(0, segments - 1), many = (count, word) => `${count.toLocaleString("en")} ${word}${count === 1 ? "" : "s"}`;
   const holds = [many(n, "sample"), `${facts.duration.toFixed(1)} s`, gaps ? many(gaps, "gap") : "no gaps"];
   if (lost) holds.push(`${lost.toLocaleString("en")} lost`);
   const command = document.createElement("kbd");
-  command.textContent = next;
+  command.textContent = facts.next;
   element("result").replaceChildren(`${facts.path}: ${holds.join(", ")}.  Next: `, command);
   element("result").hidden = false;
 }

@@ -66,7 +66,7 @@ const trace = makePlot("trace", Math.max(210, Math.min(320, window.innerHeight /
   },
   hooks: {
     drawSeries: [(u, index) => { if (index === 1) drawEarlier(u); }],
-    draw: [drawMarkers, drawMarked],
+    draw: [drawMarkers],
     setCursor: [showCursor],
     setSelect: [(u) => {
       const { left, width } = u.select;
@@ -151,23 +151,13 @@ function drawMarkers(u) {
   const { ctx } = u;
   ctx.save(); clip(u); font(ctx);
   ctx.strokeStyle = ctx.fillStyle = colours.ink; ctx.textAlign = "left"; ctx.textBaseline = "top";
-  for (const marker of markers) {
+  for (const marker of [...markers, ...marked]) {
     const t = marker.t - shown.origin;
     if (t < u.scales.x.min || t > u.scales.x.max) continue;
     const at = u.valToPos(t, "x", true);
+    ctx.setLineDash(marker.text ? [] : [3 * devicePixelRatio, 3 * devicePixelRatio]);
     ctx.beginPath(); ctx.moveTo(at, u.bbox.top); ctx.lineTo(at, u.bbox.top + u.bbox.height); ctx.stroke();
     write(ctx, marker.text, at + 4 * devicePixelRatio, u.bbox.top + 2);
-  }
-  ctx.restore();
-}
-
-// The two marks of a difference.
-function drawMarked(u) {
-  const { ctx } = u;
-  ctx.save(); clip(u); ctx.strokeStyle = colours.quiet; ctx.lineWidth = 1.5 * devicePixelRatio; ctx.setLineDash([3, 3].map((length) => length * devicePixelRatio));
-  for (const [t] of marked) {
-    const at = u.valToPos(t - shown.origin, "x", true);
-    ctx.beginPath(); ctx.moveTo(at, u.bbox.top); ctx.lineTo(at, u.bbox.top + u.bbox.height); ctx.stroke();
   }
   ctx.restore();
 }
@@ -313,8 +303,7 @@ function label(plot, index, text) { plot.axes[index].label = text; }
 
 function drawAll(part, from, to, origin, earlier, withFriction) {
   Object.assign(shown, { rows: part, origin, earlier });
-  const unit = latest ? latest.unit : facts ? facts.unit : "m";
-  Object.assign(scale, unit === "m" ? { length: 1e3, unit: "mm", speed: "m/s" } : { length: 1, unit: "counts", speed: "counts/s" });
+  drawUnit();
   const data = columns(part, origin);
   label(trace, 0, origin ? "time since the break-away (s)" : "time (s)");
   label(trace, 1, `position (${scale.unit})`); label(trace, 2, `velocity (${scale.speed})`);
@@ -355,28 +344,28 @@ for (const [name, plot] of Object.entries({ portrait, friction })) {
   dots[name].hidden = true;
 }
 
-let marked = []; // time and position of at most two marks
+let marked = []; // the samples at the two marks of a difference, at most
 
 // The sample under the cursor of the trace; null where there is none.
 function underCursor() {
   const { left } = trace.cursor, part = shown.rows;
   if (!(left >= 0 && part && part.last > part.first)) return null;
   const time = trace.posToVal(left, "x") + shown.origin, i = nearest(part, time);
-  return isFar(trace, part.t[i] - time) || part.x[i] !== part.x[i] ? null : { t: part.t[i], x: part.x[i], v: part.v[i], a: part.a[i] };
+  return isFar(trace, part.t[i] - time) || part.x[i] !== part.x[i] ? null : { t: part.t[i], x: part.x[i], v: part.v[i], a: part.a[i], text: "" };
 }
 
 function markDifference() {
   const sample = underCursor();
-  if (sample) marked = [...(marked.length < 2 ? marked : []), [sample.t, sample.x]];
+  if (sample) marked = [...(marked.length < 2 ? marked : []), sample];
   trace.redraw(false);
   showCursor();
 }
 
 // Between the two marks, or between the first and the cursor.
 function difference(sample) {
-  const [first, second = sample && [sample.t, sample.x]] = marked;
+  const [first, second = sample] = marked;
   if (!first || !second) return "";
-  const [dt, dx] = [second[0] - first[0], second[1] - first[1]];
+  const [dt, dx] = [second.t - first.t, second.x - first.x];
   return `Δt ${onAxis(trace, "x", dt)} s, Δx ${onAxis(trace, "y", dx * scale.length)} ${scale.unit}, 1/Δt ${digits(1 / Math.abs(dt))} Hz`;
 }
 

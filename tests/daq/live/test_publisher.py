@@ -164,11 +164,11 @@ def test_a_marker_has_the_same_time_on_the_page_as_in_the_file(
     assert in_file == pytest.approx(6.54 + delay_s, abs=0.021)
 
 
-def test_the_last_message_names_the_command_that_fits_the_run(writer: journal.Writer, look: Any) -> None:
+def test_the_view_names_the_command_that_fits_the_run(writer: journal.Writer, look: Any) -> None:
     run = LiveRun(writer.path)
     last = look(run, (journal.RECEIVED, 2, lines(0, 2001)), (journal.END, 3, b'{"reason": "stopped"}'))
     assert last["ended"] == "Recording stopped by the user"
-    assert last["next"] == f"fit-friction {writer.path.with_suffix('')}"
+    assert run.describe_run()["next"] == f"fit-friction {writer.path.with_suffix('')}"
     assert last["duration"] == pytest.approx(2.0, abs=0.01)
 
 
