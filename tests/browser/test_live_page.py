@@ -206,6 +206,39 @@ def test_zoom_and_scroll_by_mouse_keys_buttons_and_slider(run_page):
     assert run_page.evaluate("view.to - view.from") == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("key", ["click", "d"])
+def test_two_marks_show_their_difference_until_escape(run_page, key):
+    box = run_page.locator("#trace .u-over").bounding_box()
+    for share in (0.3, 0.55):
+        run_page.mouse.move(box["x"] + share * box["width"], box["y"] + 60)
+        if key == "click":
+            run_page.mouse.down()
+            run_page.mouse.up()
+        else:
+            run_page.keyboard.press(key)
+    (t0, x0), (t1, x1) = run_page.evaluate("marked.map(({ t, x }) => [t, x])")
+    assert t1 - t0 == pytest.approx(0.25 * run_page.evaluate("view.to - view.from"), rel=0.01)
+    run_page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 60)  # the second mark stays
+    dt, dx, rate = numbers(re.sub("1/Δt", "", text(run_page, "difference")))
+    assert (dt, dx, rate) == pytest.approx((t1 - t0, 1e3 * (x1 - x0), 1 / (t1 - t0)), rel=1e-3, abs=0.06)
+    run_page.keyboard.press("Escape")
+    until(run_page, "document.getElementById('difference').textContent === ''")
+
+
+def test_position_is_drawn_above_velocity(run_page):
+    lowest, highest = run_page.evaluate(
+        """[trace.valToPos(Math.min(...trace.data[1].filter(Number.isFinite)), "y"),
+        trace.valToPos(Math.max(...trace.data[2].filter(Number.isFinite)), "w")]"""
+    )
+    assert lowest < run_page.evaluate("trace.over.clientHeight") / 2 < highest
+
+
+def test_the_first_curve_is_on_the_first_screen_of_a_phone(browser, finished):
+    with opened(browser, finished, 390, 844) as page:
+        until(page, "shown.rows && shown.rows.last > 100 && summary.cycles > 4")
+        assert page.evaluate("document.getElementById('trace').getBoundingClientRect().bottom") < 844
+
+
 def test_break_aways_lie_over_one_another(run_page, tmp_path):
     run_page.keyboard.press("t")
     says(run_page, "trace-title", "break-away 6 of 6")
