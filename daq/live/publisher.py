@@ -28,6 +28,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -137,10 +138,8 @@ class Publisher(ABC):
 
     def _new_members(self) -> dict[str, Any]:
         """Return the members ``summary`` and ``break_aways``."""
-        break_aways = list(self.analysis.break_aways)
-        new = break_aways[max(0, len(break_aways) - (self.analysis.slips - self._n_sent)) :]
-        self._n_sent = self.analysis.slips
-        return {"summary": self.analysis.summarise(), "break_aways": _round_break_aways(new)}
+        n_new, self._n_sent = self.analysis.slips - self._n_sent, self.analysis.slips
+        return self._summarise(max(0, len(self.analysis.break_aways) - n_new))
 
     def _all_members(self) -> dict[str, Any]:
         """Return the same members for a page that connects: all break-aways; the run file, and the next command."""
@@ -149,9 +148,16 @@ class Publisher(ABC):
             "file": run.name,
             "path": str(run),
             "next": f"fit-friction {shlex.quote(str(run))}",
-            "summary": self.analysis.summarise(),
-            "break_aways": _round_break_aways(list(self.analysis.break_aways)),
+            **self._summarise(0),
         }
+
+    def _summarise(self, first: int) -> dict[str, Any]:
+        """Return the summary, and the break-aways from the ``first`` one on."""
+        rounded = [
+            [round(time, 6), round_for_json(x), round(landing, 6)]
+            for time, x, landing in islice(self.analysis.break_aways, first, None)
+        ]
+        return {"summary": self.analysis.summarise(), "break_aways": rounded}
 
     def _send(self, data: dict[str, Any], texts: Mapping[str, str] = MappingProxyType({})) -> None:
         """Store an event for the pages; ``texts`` are members that are already JSON, by name."""
@@ -408,10 +414,6 @@ class FinishedRun(Publisher):
         except (OSError, InputError):  # the file has been moved meanwhile
             return None
         return LiveFilter(self.rate_hz, self.analysis.filter.window).feed(samples)
-
-
-def _round_break_aways(break_aways: list[tuple[float, float, float]]) -> list[list[float | None]]:
-    return [[round(time, 6), round_for_json(x), round(landing, 6)] for time, x, landing in break_aways]
 
 
 def _format_columns(rows: Array, n_sent: int = 0) -> dict[str, str]:

@@ -91,7 +91,7 @@ class JournalTail:
         self.block_stream = BlockStream(self.header)
         self._backend = protocols.load("frames" if self._of_blocks else self.header["protocol"], str(path))
         self._rate_hz = float(self.header["rate_hz"])
-        self._position = len(journal.MAGIC)
+        self.bytes_read = len(journal.MAGIC)
         self._reads: list[tuple[int, bytes]] = []
         self._configuration: list[Record] = []
         self._ident: frames.Ident | None = None
@@ -104,10 +104,6 @@ class JournalTail:
     def unit(self) -> str:
         """Of positions: "m", or "count" without a calibration."""
         return "count" if self.rig.metres_per_count is None and self.header["columns"] != blocks.POSITIONS else "m"
-
-    @property
-    def bytes_read(self) -> int:
-        return self._position
 
     def fork(self) -> "JournalTail":
         """Return another tail that continues at the position of this one."""
@@ -122,10 +118,10 @@ class JournalTail:
         if another journal has its name.
         """
         with self.path.open("rb") as file:
-            if file.seek(0, os.SEEK_END) < self._position:
+            if file.seek(0, os.SEEK_END) < self.bytes_read:
                 what = "is shorter than before: it is another recording's"
                 raise InputError(what, str(self.path), "open the view of that recording")
-            file.seek(self._position)
+            file.seek(self.bytes_read)
             content = journal.Content(journal.MAGIC + file.read(most_bytes))
         samples: list[NewSamples] = []
         reads: list[tuple[int, bytes]] = []
@@ -145,7 +141,7 @@ class JournalTail:
                 self._configuration.append(record)
             elif record.kind == journal.END:
                 self.ended = journal.end_reason(record)
-        self._position += end - len(journal.MAGIC)
+        self.bytes_read += end - len(journal.MAGIC)
         return samples + self._decode(reads)
 
     def _decode(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:

@@ -4,7 +4,6 @@
 const FRAME_MS = 40, HALF_MS = 50; // between messages 100 ms pass: the second half of the samples is drawn so long after the first
 const FRICTION_EVERY = 20; // frames
 const EARLIER = 5; // break-aways under the last one
-const PAUSE_WORDS = { false: "Pause", true: "Resume" };
 let waiting = null; // a message whose second half is not among the samples yet
 let dirty = false, scheduled = false, frames = 0, drawn = 0;
 
@@ -225,7 +224,7 @@ function setPaused(paused) {
   if (facts && facts.finished) paused = true;
   view.paused = paused;
   element("pause").setAttribute("aria-pressed", paused);
-  element("pause").textContent = PAUSE_WORDS[paused];
+  element("pause").textContent = paused ? "Resume" : "Pause";
   if (!paused) { view.at = -1; notGiven = ""; }
   redraw();
 }

@@ -205,10 +205,9 @@ function level(u, at, words) {
 // As in the report: relative speed is positive in a slip, and friction where it pulls the mass along with the belt.
 const forward = () => Math.sign(summary.belt.value) || 1;
 const relativeSpeed = (v) => forward() * (summary.belt.value - v);
-const perMass = () => summary.balance.mass ?? 1;
 function force(x, v, a) {
-  const { k_over_m, x0, c_over_m } = summary.balance;
-  return forward() * perMass() * (a + k_over_m * (x - x0) + c_over_m * v);
+  const { mass, k_over_m, x0, c_over_m } = summary.balance;
+  return forward() * (mass ?? 1) * (a + k_over_m * (x - x0) + c_over_m * v);
 }
 const hasFriction = () => summary && summary.friction && summary.belt.value !== null;
 
@@ -378,7 +377,11 @@ const isFar = (u, away) => !(Math.abs(away) < (u.scales.x.max - u.scales.x.min) 
 function showCursor() {
   const sample = underCursor();
   element("difference").textContent = difference(sample);
-  if (!sample) { hideCursor(); return; }
+  if (!sample) {
+    element("trace-at").textContent = "";
+    for (const name in dots) dots[name].hidden = true;
+    return;
+  }
   const { t, x, v, a } = sample;
   let words = `t ${onAxis(trace, "x", t - shown.origin)} s, x ${onAxis(trace, "y", x * scale.length)} ${scale.unit}, v ${onAxis(trace, "w", v)} ${scale.speed}`;
   put("portrait", portrait, x * scale.length, v);
@@ -387,11 +390,6 @@ function showCursor() {
     put("friction", friction, relativeSpeed(v), force(x, v, a));
   }
   element("trace-at").textContent = words;
-}
-
-function hideCursor() {
-  element("trace-at").textContent = "";
-  for (const name in dots) dots[name].hidden = true;
 }
 
 function put(name, plot, x, y) {
