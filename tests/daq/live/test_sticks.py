@@ -138,7 +138,7 @@ def test_the_usual_speed_of_slow_counts_is_found_over_a_longer_span(count: float
 
 def test_the_least_number_of_cycles_is_that_of_the_fit() -> None:
     assert (FEWEST_CYCLES, FEW_CYCLES) == (noise_levels.FEWEST, screening.FEW)
-    assert "a verdict needs 4" in advise(FEWEST_CYCLES - 1)
+    assert "a verdict needs at least 4" in advise(FEWEST_CYCLES - 1)
     assert "a single bad cycle" in advise(FEWEST_CYCLES)
     assert advise(FEW_CYCLES) == "enough for a verdict; 32 cycles would halve the standard errors"
 
