@@ -40,7 +40,7 @@ def watch(
     """Show a recording in the browser while it runs, or a finished run; the URL is the first line of the output.
 
     The page is served on this computer alone, under a random address.  It only reads: closing it, or stopping this
-    command by Ctrl-C, does not touch the recording; its button "end recording" does what Ctrl-C does in the recording's
+    command by Ctrl-C, does not touch the recording; its button "Stop" does what Ctrl-C does in the recording's
     terminal.  The command ends with the recording; of a finished run, by Ctrl-C.
 
     Example: daq watch run.h5.part

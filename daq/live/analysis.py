@@ -255,11 +255,11 @@ class LiveAnalysis:
         break_away = self._spreads["break_away"]
         load = balance.k_over_m * (forward * break_away.mean - balance.x0) + balance.c_over_m * self.belt.value
         return {
-            "w": [round_for_json(-forward * speed) for speed in curve.speed.tolist()],
-            "F": [round_for_json(mass * value) for value in curve.friction.tolist()],
+            "speed": [round_for_json(speed) for speed in curve.speed.tolist()],
+            "F": [round_for_json(forward * mass * value) for value in curve.friction.tolist()],
             "sd": [round_for_json(mass * value) for value in curve.sd.tolist()],
             "slips": curve.slips,
-            "break_away": round_for_json(mass * load),
+            "break_away": round_for_json(forward * mass * load),
             "break_away_sd": round_for_json(mass * balance.k_over_m * break_away.sd),
         }
 

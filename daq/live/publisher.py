@@ -14,18 +14,21 @@ An event is one JSON document with these members, each only if there is somethin
     marker              a person's: {"t", "text"}
     progress            share of a finished run that has been read
     ended               how the recording ended, as text: the last event
+    duration            of the recording that has ended, s
 """
 
 import asyncio
 import json
 import math
 import os
+import shlex
 import time
 from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -36,7 +39,7 @@ from daq.finalise import claim
 from daq.live.analysis import LiveAnalysis, motion_columns, round_for_json
 from daq.live.finished import RunSamples
 from daq.live.motion import LONGEST_PARABOLA, LiveFilter, LiveMotion
-from daq.live.tail import JournalTail, JournalTotals
+from daq.live.tail import JournalTail, JournalTotals, NewSamples
 from daq.runfile import journal
 from stickslip.compute.arrays import Array, joined, rows
 from stickslip.errors import InputError
@@ -135,17 +138,26 @@ class Publisher(ABC):
 
     def _new_members(self) -> dict[str, Any]:
         """Return the members ``summary`` and ``break_aways``."""
-        break_aways = list(self.analysis.break_aways)
-        new = break_aways[max(0, len(break_aways) - (self.analysis.slips - self._n_sent)) :]
-        self._n_sent = self.analysis.slips
-        return {"summary": self.analysis.summarise(), "break_aways": _round_break_aways(new)}
+        n_new, self._n_sent = self.analysis.slips - self._n_sent, self.analysis.slips
+        return self._summarise(max(0, len(self.analysis.break_aways) - n_new))
 
     def _all_members(self) -> dict[str, Any]:
-        """Return the same members for a page that connects: all break-aways."""
+        """Return the same members for a page that connects: all break-aways; the run file, and the next command."""
+        run = self.path.with_name(self.path.name.removesuffix(".part")).absolute()
         return {
-            "summary": self.analysis.summarise(),
-            "break_aways": _round_break_aways(list(self.analysis.break_aways)),
+            "file": run.name,
+            "path": str(run),
+            "next": f"fit-friction {shlex.quote(str(run))}",
+            **self._summarise(0),
         }
+
+    def _summarise(self, first: int) -> dict[str, Any]:
+        """Return the summary, and the break-aways from the ``first`` one on."""
+        rounded = [
+            [round(time, 6), round_for_json(x), round(landing, 6)]
+            for time, x, landing in islice(self.analysis.break_aways, first, None)
+        ]
+        return {"summary": self.analysis.summarise(), "break_aways": rounded}
 
     def _send(self, data: dict[str, Any], texts: Mapping[str, str] = MappingProxyType({})) -> None:
         """Store an event for the pages; ``texts`` are members that are already JSON, by name."""
@@ -156,9 +168,9 @@ class Publisher(ABC):
         self._came.set()
         self._came = asyncio.Event()
 
-    def _end(self, words: str) -> None:
+    def _end(self, words: str, **members: float) -> None:
         self.ended = words
-        self._send({"ended": words})
+        self._send({"ended": words, **members})
 
 
 class LiveRun(Publisher):
@@ -174,6 +186,7 @@ class LiveRun(Publisher):
         self._trouble = ""
         self._losses: deque[tuple[float, int]] = deque([(0.0, 0)])
         self._places: list[tuple[float, JournalTail]] = [(-math.inf, self.tail.fork())]
+        self._markers: deque[tuple[int, str]] = deque()  # stamp in monotonic ns, text; their samples are yet to come
         self._spacing_s = 1.0
 
     async def follow(self) -> None:
@@ -183,7 +196,7 @@ class LiveRun(Publisher):
                 self.look()
             except Exception as error:
                 self.failure = error
-                self._end(f"the view has failed ({error}); the recording continues")
+                self._end(f"The view failed ({error}); the recording continues")
             now = time.monotonic()
             due = max(due + LOOK_EVERY_S, now)  # a look that is late does not make the next ones follow at once
             await asyncio.sleep(due - now)
@@ -203,6 +216,7 @@ class LiveRun(Publisher):
         if pieces:
             self._last_new, self._now = time.monotonic(), float(pieces[-1].time[-1])
             self._remember()
+            self._send_markers(pieces)
         summary: dict[str, Any] = {}
         if self._last_new - self._summed >= SUMMARY_EVERY_S or self.tail.ended:
             self._summed = self._last_new
@@ -213,21 +227,31 @@ class LiveRun(Publisher):
             self._publish(np.concatenate(motions, axis=1) if motions else None, summary)
         if self.tail.ended:
             words = {journal.COMPLETE: "complete", journal.STOPPED: "stopped by the user"}
-            self._end(f"the recording has ended: {words.get(self.tail.ended, self.tail.ended)}")
+            ending = words.get(self.tail.ended, f"ended: {self.tail.ended}")
+            self._end(f"Recording {ending}", duration=self._now)
         elif time.monotonic() - self._last_new > GONE_AFTER_S and not claim.is_locked(self.tail.path):
-            self._end(f"the recording process has died: run daq recover {self.tail.path.name}")
+            self._end(f"The recording process is gone. Save the data with daq recover {self.tail.path.name}")
 
     def mark(self, text: str) -> None:
-        """Store a marker of the current time next to the journal; the finaliser makes it an event."""
+        """Store a marker next to the journal; pages receive it with the sample that the finaliser assigns to it."""
         if self.ended:
             raise NotPossibleError("the recording has ended; use daq note --mark")
         label = " ".join(text.split())[:LONGEST_MARKER] or "marker"
+        stamp_ns = time.monotonic_ns()
         handle = os.open(journal.markers_path(self.tail.path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
-            os.write(handle, f"{time.monotonic_ns()} {label}\n".encode())
+            os.write(handle, f"{stamp_ns} {label}\n".encode())
         finally:
             os.close(handle)
-        self._send({"marker": {"t": self._now, "text": label}})
+        self._markers.append((stamp_ns, label))
+
+    def _send_markers(self, pieces: list[NewSamples]) -> None:
+        """Send the markers set before the last of these samples, each at the first sample received after it."""
+        for piece in pieces:
+            while piece.stamp_ns is not None and self._markers and self._markers[0][0] <= piece.stamp_ns[-1]:
+                stamp_ns, label = self._markers.popleft()
+                marked = float(piece.time[np.searchsorted(piece.stamp_ns, stamp_ns)])
+                self._send({"marker": {"t": marked, "text": label}})
 
     def stop(self) -> None:
         """Create the file next to the journal that asks its recorder to stop."""
@@ -240,7 +264,6 @@ class LiveRun(Publisher):
         samples = header["samples"]
         return {
             "title": header["title"],
-            "file": self.path.name.removesuffix(".part"),
             "rate": self.rate_hz,
             "duration": None if samples is None else samples / self.rate_hz,
             "every": self._stride,
@@ -300,8 +323,8 @@ class LiveRun(Publisher):
         except OSError:
             is_finished = False
         if is_finished:
-            return "the recording has ended"
-        return f"{self.path.name} has been moved or removed; see the terminal of daq record"
+            return "Recording ended"
+        return f"{self.path.name} has been moved or removed; the terminal of daq record shows where it continues"
 
     def _publish(self, motion: Array | None, summary: dict[str, Any]) -> None:
         texts: dict[str, str] = {}
@@ -333,7 +356,7 @@ class FinishedRun(Publisher):
             await self._read(self.analysis)
         except Exception as error:
             self.failure = error
-            self._end(f"the run cannot be read ({error})")
+            self._end(f"The run cannot be read ({error})")
             return
         self._progress = 1.0
         self._send_progress()
@@ -365,7 +388,6 @@ class FinishedRun(Publisher):
         run, times = self.samples.header, self.samples.times
         return {
             "title": run.title,
-            "file": self.path.name,
             "rate": self.rate_hz,
             "duration": round_for_json(float(times[-1] - times[0])),
             "every": 1,
@@ -392,10 +414,6 @@ class FinishedRun(Publisher):
         except (OSError, InputError):  # the file has been moved meanwhile
             return None
         return LiveFilter(self.rate_hz, self.analysis.filter.window).feed(samples)
-
-
-def _round_break_aways(break_aways: list[tuple[float, float, float]]) -> list[list[float | None]]:
-    return [[round(time, 6), round_for_json(x), round(landing, 6)] for time, x, landing in break_aways]
 
 
 def _format_columns(rows: Array, n_sent: int = 0) -> dict[str, str]:

@@ -44,6 +44,7 @@ class NewSamples:
     fresh: np.typing.NDArray[np.bool_]
     # (k,) m, of the belt's encoder, each segment from its own reading; None without one
     belt: Array | None = None
+    stamp_ns: np.typing.NDArray[np.int64] | None = None  # (k,) host's monotonic clock at reception; None in a run file
 
 
 @dataclass
@@ -90,23 +91,19 @@ class JournalTail:
         self.block_stream = BlockStream(self.header)
         self._backend = protocols.load("frames" if self._of_blocks else self.header["protocol"], str(path))
         self._rate_hz = float(self.header["rate_hz"])
-        self._position = len(journal.MAGIC)
+        self.bytes_read = len(journal.MAGIC)
         self._reads: list[tuple[int, bytes]] = []
         self._configuration: list[Record] = []
         self._ident: frames.Ident | None = None
         self._last: _LastSample | None = None
         self._first_stamp: int | None = None
         self._trailing_damage = 0
-        self._calibrated = False
+        self._calibrated = self._complete = False
 
     @property
     def unit(self) -> str:
         """Of positions: "m", or "count" without a calibration."""
         return "count" if self.rig.metres_per_count is None and self.header["columns"] != blocks.POSITIONS else "m"
-
-    @property
-    def bytes_read(self) -> int:
-        return self._position
 
     def fork(self) -> "JournalTail":
         """Return another tail that continues at the position of this one."""
@@ -121,10 +118,10 @@ class JournalTail:
         if another journal has its name.
         """
         with self.path.open("rb") as file:
-            if file.seek(0, os.SEEK_END) < self._position:
+            if file.seek(0, os.SEEK_END) < self.bytes_read:
                 what = "is shorter than before: it belongs to another recording"
                 raise InputError(what, str(self.path), "open the view of that recording")
-            file.seek(self._position)
+            file.seek(self.bytes_read)
             content = journal.Content(journal.MAGIC + file.read(most_bytes))
         samples: list[NewSamples] = []
         reads: list[tuple[int, bytes]] = []
@@ -144,7 +141,7 @@ class JournalTail:
                 self._configuration.append(record)
             elif record.kind == journal.END:
                 self.ended = journal.end_reason(record)
-        self._position += end - len(journal.MAGIC)
+        self.bytes_read += end - len(journal.MAGIC)
         return samples + self._decode(reads)
 
     def _decode(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:
@@ -157,12 +154,19 @@ class JournalTail:
         self._ident = connections.replace_implausible(stream).ident or self._ident
         self._calibrate(stream)
         self._reads = _keep_last_lines(self._reads, self._backend.DELIMITER)
-        if not len(stream.n):
+        if not len(stream.n) or self._complete:
             return []
         tick_ns = self._ident.tick_ns if self._ident else 1000
         (samples, _), *_ = timeline.Timeline([[stream]], self._rate_hz, tick_ns)
         samples = replace(samples, source=np.zeros(len(samples), np.int64))
         n_known = self._find_last(samples) + 1
+        if self.header["samples"] is not None and len(samples) > n_known:
+            # As in the finaliser: samples after the requested ones are dropped.
+            requested = (
+                samples.time + self._find_offset(samples, n_known) < (self.header["samples"] - 0.5) / self._rate_hz
+            )
+            self._complete = not requested.all()
+            samples = rows(samples, requested)
         known, new = (rows(samples, part) for part in (slice(n_known), slice(n_known, None)))
         starts_at_phase = self.header["protocol"] == "frames"
         survey = CountSurvey([self._ident], self.rig.counter_bits, self._rate_hz, starts_at_phase=starts_at_phase)
@@ -176,7 +180,7 @@ class JournalTail:
             return []
         fresh = np.zeros(len(new), np.bool_)
         fresh[checked.starts - n_known] = True
-        count, time = checked.count.copy(), new.time.copy()
+        count, time = checked.count.copy(), new.time + self._find_offset(samples, n_known)
         belt = np.zeros(len(samples), np.int64)
         if samples.belt is not None:
             begins = np.concatenate((np.diff(known.part, prepend=-1) != 0, fresh))
@@ -185,18 +189,13 @@ class JournalTail:
             same = np.cumsum(fresh) == 0
             count[same] += self._last.count - checked_before.count[-1]
             belt[n_known:][same] += self._last.belt - belt[n_known - 1]
-            time += self._last.time - known.time[-1]
-        else:
-            if self._first_stamp is None:
-                self._first_stamp = int(new.stamp_ns[0])
-            time += (int(new.stamp_ns[0]) - self._first_stamp) / 1e9
         ticks, index = (int(column[-1]) for column in (new.ticks, new.index))
         self._last = _LastSample(ticks, float(time[-1]), int(count[-1]), index, int(belt[-1]))
         pitch = self.rig.belt_metres_per_count
         belt_position = (
             None if samples.belt is None or pitch is None else pitch.value * belt[n_known:].astype(np.float64)
         )
-        return [NewSamples(time, positions(count, self.rig), fresh, belt_position)]
+        return [NewSamples(time, positions(count, self.rig), fresh, belt_position, new.stamp_ns)]
 
     def _unpack_blocks(self, reads: list[tuple[int, bytes]]) -> list[NewSamples]:
         if self._configuration and not self._calibrated:
@@ -213,8 +212,16 @@ class JournalTail:
                 position = positions(values.astype(np.int64), self.rig) if values.dtype.kind == "i" else values
                 fresh = np.zeros(len(samples), np.bool_)
                 fresh[checked.starts] = True
-                pieces.append(NewSamples(samples.time, position.astype(np.float64), fresh))
+                pieces.append(NewSamples(samples.time, position.astype(np.float64), fresh, None, samples.stamp_ns))
         return pieces
+
+    def _find_offset(self, samples: timeline.Samples, n_known: int) -> float:
+        """Return what the times of samples lack to those of the recording, s."""
+        if n_known and self._last is not None:
+            return self._last.time - float(samples.time[n_known - 1])
+        if self._first_stamp is None:
+            self._first_stamp = int(samples.stamp_ns[n_known])
+        return (int(samples.stamp_ns[n_known]) - self._first_stamp) / 1e9
 
     def _find_last(self, samples: timeline.Samples) -> int:
         """Return the index of the last known sample by its device time, -1 if it is not there."""

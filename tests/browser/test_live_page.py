@@ -135,9 +135,9 @@ def test_a_finished_run_is_shown_with_its_cycles_belt_spring_and_friction(run_pa
     assert all(len(numbers(row)) == 5 for row in rows)
     for picture, colour in (("trace", "x"), ("trace", "v"), ("portrait", "x"), ("friction", "f"), ("friction", "v")):
         assert coloured(run_page, picture, tmp_path, colour) > 50, (picture, colour)
-    # One sign everywhere: relative velocity is that of the mass less the belt's, and friction opposes it.
-    assert run_page.evaluate("friction.axes[0].label") == "relative velocity: mass minus belt (m/s)"
-    assert run_page.evaluate("Math.max(...summary.friction.w) < 0 && Math.min(...summary.friction.F) > 0")
+    # The report's sign.
+    assert run_page.evaluate("friction.axes[0].label") == "relative speed (m/s)"
+    assert run_page.evaluate("Math.min(...summary.friction.speed) > 0 && Math.min(...summary.friction.F) > 0")
     assert run_page.evaluate("markers.map(marker => [marker.t, marker.text])") == [
         [pytest.approx(3.0, abs=0.01), "a hand"]
     ]
@@ -204,6 +204,39 @@ def test_zoom_and_scroll_by_mouse_keys_buttons_and_slider(run_page):
     assert run_page.evaluate(shown) == pytest.approx(whole)
     run_page.select_option("#window", "2")
     assert run_page.evaluate("view.to - view.from") == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("key", ["click", "d"])
+def test_two_marks_show_their_difference_until_escape(run_page, key):
+    box = run_page.locator("#trace .u-over").bounding_box()
+    for share in (0.3, 0.55):
+        run_page.mouse.move(box["x"] + share * box["width"], box["y"] + 60)
+        if key == "click":
+            run_page.mouse.down()
+            run_page.mouse.up()
+        else:
+            run_page.keyboard.press(key)
+    (t0, x0), (t1, x1) = run_page.evaluate("marked.map(({ t, x }) => [t, x])")
+    assert t1 - t0 == pytest.approx(0.25 * run_page.evaluate("view.to - view.from"), rel=0.01)
+    run_page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 60)  # the second mark stays
+    dt, dx, rate = numbers(re.sub("1/Δt", "", text(run_page, "difference")))
+    assert (dt, dx, rate) == pytest.approx((t1 - t0, 1e3 * (x1 - x0), 1 / (t1 - t0)), rel=1e-3, abs=0.06)
+    run_page.keyboard.press("Escape")
+    until(run_page, "document.getElementById('difference').textContent === ''")
+
+
+def test_position_is_drawn_above_velocity(run_page):
+    lowest, highest = run_page.evaluate(
+        """[trace.valToPos(Math.min(...trace.data[1].filter(Number.isFinite)), "y"),
+        trace.valToPos(Math.max(...trace.data[2].filter(Number.isFinite)), "w")]"""
+    )
+    assert lowest < run_page.evaluate("trace.over.clientHeight") / 2 < highest
+
+
+def test_the_first_curve_is_on_the_first_screen_of_a_phone(browser, finished):
+    with opened(browser, finished, 390, 844) as page:
+        until(page, "shown.rows && shown.rows.last > 100 && summary.cycles > 4")
+        assert page.evaluate("document.getElementById('trace').getBoundingClientRect().bottom") < 844
 
 
 def test_break_aways_lie_over_one_another(run_page, tmp_path):
@@ -332,7 +365,7 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
             frames = page.evaluate("document.body.dataset.frames")
             page.wait_for_timeout(500)
             assert page.evaluate("document.body.dataset.frames") == frames, "paused, and it goes on drawing"
-            assert text(page, "pause") == "go on"
+            assert text(page, "pause") == "Resume"
             end = page.evaluate("view.to")
             page.keyboard.press("Home")  # scrolling back while it is paused
             until(page, "view.from === 0 && shown.rows.t[shown.rows.first] < 0.1")
@@ -349,7 +382,9 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
             assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (
                 "wider than a phone's screen"
             )
-            says(page, "state", "ended", 60.0)
+            says(page, "state", "Recording complete", 60.0)
+            says(page, "result", "14,000 samples, 14.0 s, no gaps.  Next: fit-friction")
+            assert str(tmp_path / "run.h5") in text(page, "result")
             drawn = page.evaluate("({ t: samples.t, x: samples.x, markers })")
             assert page.locator("#stop").is_disabled()
             until(page, "whole !== null")  # all of it can still be looked at
@@ -367,7 +402,7 @@ def test_a_recording_is_drawn_marked_and_left_whole(browser, tmp_path):
     np.testing.assert_allclose(x[: last - first], run.position[first:last], rtol=1e-6)
     at = run.event_kind.index("marker")
     assert run.event_note[at] == drawn["markers"][0]["text"] == "a hand"
-    assert abs(run.time[run.event_sample[at]] - drawn["markers"][0]["t"]) < 1.0
+    assert run.time[run.event_sample[at]] == pytest.approx(drawn["markers"][0]["t"], abs=1e-6)
 
 
 def test_the_stop_button_asks_once_and_ends_the_recording_cleanly(browser, tmp_path):
@@ -377,7 +412,7 @@ def test_the_stop_button_asks_once_and_ends_the_recording_cleanly(browser, tmp_p
             page.click("#stop")
             page.keyboard.press("Escape")  # not yet
             page.click("#stop")
-            page.keyboard.press("Enter")  # the first button goes on recording
+            page.keyboard.press("Enter")  # the first button resumes recording
             page.wait_for_timeout(1500)
             assert not journal.stop_path(tmp_path / "run.h5").exists()
             assert text(page, "state") in ("stick", "slip", "moving")
@@ -434,7 +469,7 @@ def test_losses_a_vanished_journal_and_a_viewer_that_is_gone_are_said_in_the_pag
             until(page, "Number(document.getElementById('lost').textContent) > 100")
             assert page.locator("#lost").evaluate("field => field.classList.contains('wrong')")
             viewer.kill()
-            says(page, "trouble", "the viewer does not answer; a recording goes on without it", 20.0)
+            says(page, "trouble", "The viewer does not respond. The recording continues without it.", 20.0)
             says(page, "state", "no connection")
         with command("watch", part.name, cwd=tmp_path) as (_, url), opened(browser, url) as page:
             until(page, "Number(document.body.dataset.frames) > 5")

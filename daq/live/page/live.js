@@ -4,7 +4,6 @@
 const FRAME_MS = 40, HALF_MS = 50; // between messages 100 ms pass: the second half of the samples is drawn so long after the first
 const FRICTION_EVERY = 20; // frames
 const EARLIER = 5; // break-aways under the last one
-const PAUSE_WORDS = { false: "pause", true: "go on" };
 let waiting = null; // a message whose second half is not among the samples yet
 let dirty = false, scheduled = false, frames = 0, drawn = 0;
 
@@ -44,13 +43,16 @@ function receive(event) {
   if (message.marker) markers.push(message.marker);
   if (message.counts) latest = message;
   if (message.summary) setSummary(message);
-  if (message.progress !== undefined && facts) { facts.progress = message.progress; past = null; } // there is more of it now
+  if (message.progress !== undefined && facts) {
+    facts.progress = message.progress; past = null; // there is more of it now
+    if (message.progress === 1) showResult();
+  }
   if (message.t) {
     waiting = message;
     take(message, 0, middle(message));
     setTimeout(takeRest, HALF_MS);
   }
-  if (message.ended) end(message.ended);
+  if (message.ended) end(message);
   showState();
   if (!view.paused || message.marker || (facts && facts.finished)) { showFacts(); redraw(); } else showFacts();
 }
@@ -62,12 +64,24 @@ function setSummary(message) {
   showPanel();
 }
 
-function end(words) {
-  ended = words;
+function end(message) {
+  ended = message.ended;
+  if (message.duration) { facts.duration = message.duration; showResult(); }
   source.close();
   if (!facts || !facts.finished) askForAll();
   element("stop").disabled = element("mark").disabled = true;
   element("ending").close();
+}
+
+// Where the recording is, what it holds, and the command that comes next.
+function showResult() {
+  const { samples: n, segments, lost } = latest.counts, gaps = Math.max(0, segments - 1), many = (count, word) => `${count.toLocaleString("en")} ${word}${count === 1 ? "" : "s"}`;
+  const holds = [many(n, "sample"), `${facts.duration.toFixed(1)} s`, gaps ? many(gaps, "gap") : "no gaps"];
+  if (lost) holds.push(`${lost.toLocaleString("en")} lost`);
+  const command = document.createElement("kbd");
+  command.textContent = facts.next;
+  element("result").replaceChildren(`${facts.path}: ${holds.join(", ")}.  Next: `, command);
+  element("result").hidden = false;
 }
 
 function showState() {
@@ -80,7 +94,7 @@ function showState() {
   if (state.textContent !== words) state.textContent = words;
   let trouble = said.words || notGiven || (open && latest && latest.trouble) || "";
   if (!ended && (gone || (!open && lostFor() > 5))) {
-    trouble = `the viewer does not answer; a recording goes on without it: daq watch ${facts ? facts.file : "RUN.h5"} opens another view`;
+    trouble = `The viewer does not respond. The recording continues without it. Open another view with daq watch ${facts ? facts.file : "RUN.h5"}`;
   }
   const line = element("trouble");
   line.hidden = !trouble;
@@ -210,7 +224,7 @@ function setPaused(paused) {
   if (facts && facts.finished) paused = true;
   view.paused = paused;
   element("pause").setAttribute("aria-pressed", paused);
-  element("pause").textContent = PAUSE_WORDS[paused];
+  element("pause").textContent = paused ? "Resume" : "Pause";
   if (!paused) { view.at = -1; notGiven = ""; }
   redraw();
 }
@@ -260,6 +274,7 @@ function showBreakAway(at) {
 }
 
 function resetZoom() {
+  marked = [];
   const span = Number(element("window").value || 5), last = lastTime();
   setSpan(span);
   element("lock").checked = false;
@@ -290,7 +305,7 @@ async function post(path, body) {
 async function mark(event) {
   if (event) event.preventDefault();
   const words = element("words");
-  try { await post("marker", words.value || "marker"); words.value = ""; } catch (error) { say(`marker not stored: ${error.message}`); }
+  try { await post("marker", words.value || "marker"); words.value = ""; } catch (error) { say(`The marker was not stored: ${error.message}`); }
 }
 
 async function stop() {
@@ -298,9 +313,9 @@ async function stop() {
   button.disabled = true;
   try {
     await post("stop", "stop");
-    say("the recording is asked to end");
-    setTimeout(() => { if (!ended) { button.disabled = false; say("the recording has not ended: press Ctrl-C in its terminal"); } }, 6000);
-  } catch (error) { button.disabled = false; say(`the recording goes on: ${error.message}`); }
+    say("Stopping and saving.");
+    setTimeout(() => { if (!ended) { button.disabled = false; say("The recording has not stopped. Press Ctrl-C in its terminal."); } }, 6000);
+  } catch (error) { button.disabled = false; say(`The recording was not stopped: ${error.message}`); }
 }
 
 function save() {
@@ -369,12 +384,15 @@ over.addEventListener("pointermove", (event) => {
 });
 for (const type of ["pointerup", "pointercancel"]) over.addEventListener(type, () => { finger = null; });
 over.addEventListener("mousemove", () => { held = null; });
+let pressed = 0; // where the pointer went down: a drag is no click
+over.addEventListener("pointerdown", (event) => { pressed = event.clientX; });
+over.addEventListener("click", (event) => { if (Math.abs(event.clientX - pressed) < 4) markDifference(); });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", setTheme);
 
 const KEYS = {
   ArrowLeft: () => scrollBy(-0.25), ArrowRight: () => scrollBy(0.25), "+": () => zoom(0.5), "=": () => zoom(0.5), "-": () => zoom(2),
   Home: () => show(firstTime(), firstTime() + view.to - view.from), End: () => facts && facts.finished ? show(lastTime() - (view.to - view.from), lastTime()) : setPaused(false),
-  Escape: resetZoom, ",": () => moveCursor(-1), ".": () => moveCursor(1), a: () => element("lock").click(), m: () => mark(), s: save,
+  Escape: resetZoom, ",": () => moveCursor(-1), ".": () => moveCursor(1), a: () => element("lock").click(), d: () => markDifference(), m: () => mark(), s: save,
   t: () => { element("mode").value = triggered() ? "roll" : "trigger"; element("mode").dispatchEvent(new Event("change")); },
 };
 document.addEventListener("keydown", (event) => {

@@ -18,14 +18,15 @@ readColours();
 
 // Numbers beside an axis, with the digits that tell neighbours apart.
 function beside(u, splits) {
-  const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1, decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-  return splits.map((value) => value.toFixed(/[1-9]/.test((step * 10 ** decimals).toFixed(1).split(".")[1]) ? decimals + 1 : decimals));
+  const shownSplits = splits.filter((value) => value !== null);
+  const step = shownSplits.length > 1 ? Math.abs(shownSplits[1] - shownSplits[0]) : 1, decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  return splits.map((value) => value === null ? null : value.toFixed(/[1-9]/.test((step * 10 ** decimals).toFixed(1).split(".")[1]) ? decimals + 1 : decimals));
 }
-const roomFor = (u, texts) => 20 + 8 * Math.ceil(Math.max(3, ...(texts || []).map((text) => text.length)) * 0.9);
+const roomFor = (u, texts) => 20 + 8 * Math.ceil(Math.max(3, ...(texts || []).map((text) => text ? text.length : 0)) * 0.9);
 
-const axis = (label, colour, more) => ({
-  label, labelSize: 20, labelGap: 0, values: beside, stroke: () => colours[colour],
-  grid: { stroke: () => colours.line, width: 1 }, ticks: { stroke: () => colours.line, width: 1 }, ...more,
+const axis = (label, colour, more, filter = (u, splits) => splits) => ({
+  label, labelSize: 20, labelGap: 0, values: beside, stroke: () => colours[colour], filter,
+  grid: { stroke: () => colours.line, width: 1, filter }, ticks: { stroke: () => colours.line, width: 1, filter }, ...more,
 });
 const free = { auto: false, range: (u, low, high) => [low, high] }; // a scale that is set by hand
 const ALONG = { size: 32, space: 60 }, UP = { size: roomFor };
@@ -37,14 +38,22 @@ function makePlot(id, height, options) {
   return plot;
 }
 
+// Position is drawn in the upper half of the trace, velocity in the lower: an axis has numbers in its half alone.
+function inHalf(upper) {
+  return (u, splits, index) => {
+    const { min, max } = u.scales[u.axes[index].scale];
+    return splits.map((value) => (value >= (min + max) / 2) === upper ? value : null);
+  };
+}
+
 const shown = { rows: null, t: [], origin: 0 }; // what is drawn now; times are from the origin
 
 const trace = makePlot("trace", Math.max(210, Math.min(320, window.innerHeight / 3)), {
   data: [[], [], []],
   scales: { x: { time: false, ...free }, y: free, w: free },
   axes: [
-    axis("time (s)", "ink", ALONG), axis("position", "x", UP),
-    axis("velocity", "v", { ...UP, scale: "w", side: 1, grid: { show: false } }),
+    axis("time (s)", "ink", ALONG), axis("position", "x", UP, inHalf(true)),
+    axis("velocity", "v", { ...UP, scale: "w", side: 1 }, inHalf(false)),
   ],
   series: [
     {},
@@ -102,7 +111,7 @@ function onAxis(plot, key, value) {
 
 const told = {
   portrait: (x, v) => `x ${onAxis(portrait, "x", x)} ${scale.unit}, v ${onAxis(portrait, "y", v)} ${scale.speed}`,
-  friction: (w, f) => `w ${onAxis(friction, "x", w)} ${scale.speed}, F ${onAxis(friction, "y", f)}`,
+  friction: (w, f) => `relative speed ${onAxis(friction, "x", w)} ${scale.speed}, F ${onAxis(friction, "y", f)}`,
 };
 
 // From a value to its pixel: as valToPos, which costs too much for every point.
@@ -142,10 +151,11 @@ function drawMarkers(u) {
   const { ctx } = u;
   ctx.save(); clip(u); font(ctx);
   ctx.strokeStyle = ctx.fillStyle = colours.ink; ctx.textAlign = "left"; ctx.textBaseline = "top";
-  for (const marker of markers) {
+  for (const marker of [...markers, ...marked]) {
     const t = marker.t - shown.origin;
     if (t < u.scales.x.min || t > u.scales.x.max) continue;
     const at = u.valToPos(t, "x", true);
+    ctx.setLineDash(marker.text ? [] : [3 * devicePixelRatio, 3 * devicePixelRatio]);
     ctx.beginPath(); ctx.moveTo(at, u.bbox.top); ctx.lineTo(at, u.bbox.top + u.bbox.height); ctx.stroke();
     write(ctx, marker.text, at + 4 * devicePixelRatio, u.bbox.top + 2);
   }
@@ -192,39 +202,35 @@ function level(u, at, words) {
   write(ctx, words, u.bbox.left + u.bbox.width / 2, at + (under ? 5 : -5) * devicePixelRatio);
 }
 
-// Relative velocity is that of the mass less that of the belt; friction is the belt's force on the mass.
-const relative = (v) => v - summary.belt.value;
-const perMass = () => summary.balance.mass ?? 1;
+// As in the report: relative speed is positive in a slip, and friction where it pulls the mass along with the belt.
+const forward = () => Math.sign(summary.belt.value) || 1;
+const relativeSpeed = (v) => forward() * (summary.belt.value - v);
 function force(x, v, a) {
-  const { k_over_m, x0, c_over_m } = summary.balance;
-  return perMass() * (a + k_over_m * (x - x0) + c_over_m * v);
+  const { mass, k_over_m, x0, c_over_m } = summary.balance;
+  return forward() * (mass ?? 1) * (a + k_over_m * (x - x0) + c_over_m * v);
 }
 const hasFriction = () => summary && summary.friction && summary.belt.value !== null;
 
-const friction = makeXY("friction", ["relative velocity", "friction"], (u) => {
+const friction = makeXY("friction", ["relative speed", "friction"], (u) => {
   if (!hasFriction()) return;
   const { ctx } = u, [px, py] = [pixels(u, "x"), pixels(u, "y")], one = devicePixelRatio;
-  const { w, F, sd, break_away, break_away_sd } = summary.friction;
+  const { speed, F, sd, break_away, break_away_sd } = summary.friction;
   ctx.save(); clip(u);
   ctx.fillStyle = colours.x; ctx.globalAlpha = 0.35;
   for (const [at, f] of shown.cloud || []) ctx.fillRect(px(at) - one, py(f) - one, 2 * one, 2 * one);
   ctx.globalAlpha = 1; ctx.strokeStyle = ctx.fillStyle = colours.f; ctx.lineWidth = 1.5 * one;
   ctx.beginPath();
-  w.forEach((at, i) => ctx.lineTo(px(at), py(F[i])));
+  speed.forEach((at, i) => ctx.lineTo(px(at), py(F[i])));
   ctx.stroke();
   ctx.beginPath();
-  w.forEach((at, i) => { if (sd[i] !== null) { ctx.moveTo(px(at), py(F[i] - sd[i])); ctx.lineTo(px(at), py(F[i] + sd[i])); } });
+  speed.forEach((at, i) => { if (sd[i] !== null) { ctx.moveTo(px(at), py(F[i] - sd[i])); ctx.lineTo(px(at), py(F[i] + sd[i])); } });
   ctx.stroke();
-  w.forEach((at, i) => { ctx.beginPath(); ctx.arc(px(at), py(F[i]), 2.5 * one, 0, 7); ctx.fill(); });
+  speed.forEach((at, i) => { ctx.beginPath(); ctx.arc(px(at), py(F[i]), 2.5 * one, 0, 7); ctx.fill(); });
   if (break_away !== null) {
     const at = px(0), y = py(break_away), half = break_away_sd === null ? 0 : py(0) - py(break_away_sd);
     ctx.strokeStyle = ctx.fillStyle = colours.v;
     ctx.beginPath(); ctx.moveTo(at, y - half); ctx.lineTo(at, y + half); ctx.stroke();
     ctx.beginPath(); ctx.moveTo(at, y - 6 * one); ctx.lineTo(at + 6 * one, y); ctx.lineTo(at, y + 6 * one); ctx.lineTo(at - 6 * one, y); ctx.fill();
-    font(ctx);
-    const back = summary.belt.value < 0; // the curve is on the right, below zero
-    ctx.textBaseline = back ? "top" : "bottom"; ctx.textAlign = back ? "left" : "right";
-    write(ctx, "break-away", at, y + (back ? 9 : -9) * one);
   }
   ctx.restore();
 });
@@ -246,10 +252,11 @@ function extent(values) {
   return [low, high];
 }
 
-function setRange(plot, key, low, high) {
+// The values take a part of the scale: `below` and `above` are free room, in heights of the values.
+function setRange(plot, key, low, high, below = 0, above = 0) {
   if (element("lock").checked || !(low <= high)) return;
-  const [min, max] = padded(low, high);
-  plot.setScale(key, { min, max });
+  const [min, max] = padded(low, high), height = max - min;
+  plot.setScale(key, { min: min - below * height, max: max + above * height });
 }
 
 // Columns for the trace: at most two rows a pixel, the extremes of what falls on it; null where nothing connects.
@@ -272,12 +279,6 @@ function columns(part, origin) {
   return [t, x, v];
 }
 
-// Whether cycles are narrower than ten pixels: curves are then areas.
-function crowded(part) {
-  const span = part.t[part.last - 1] - part.t[part.first], inside = breakAways.length && summary ? span / Math.max(1e-9, (summary.statistics.stick_s.mean ?? span) + (summary.statistics.slip_s.mean ?? 0)) : 0;
-  return inside > trace.bbox.width / devicePixelRatio / 10;
-}
-
 function push(t, x, v, part, i, origin) {
   t.push(part.t[i] - origin);
   x.push(part.x[i] === part.x[i] ? part.x[i] * scale.length : null);
@@ -292,7 +293,7 @@ function cloudOf(part) {
     while (next < breakAways.length && breakAways[next][2] + half_s < part.t[i]) next++;
     const [from, , to] = breakAways[next] || [Infinity, 0, Infinity];
     if (Math.abs(part.t[i] - from) < half_s || Math.abs(part.t[i] - to) < half_s) continue;
-    if (part.v[i] === part.v[i]) found.push([relative(part.v[i]), force(part.x[i], part.v[i], part.a[i])]);
+    if (part.v[i] === part.v[i]) found.push([relativeSpeed(part.v[i]), force(part.x[i], part.v[i], part.a[i])]);
   }
   return found;
 }
@@ -301,10 +302,8 @@ function label(plot, index, text) { plot.axes[index].label = text; }
 
 function drawAll(part, from, to, origin, earlier, withFriction) {
   Object.assign(shown, { rows: part, origin, earlier });
-  const unit = latest ? latest.unit : facts ? facts.unit : "m";
-  Object.assign(scale, unit === "m" ? { length: 1e3, unit: "mm", speed: "m/s" } : { length: 1, unit: "counts", speed: "counts/s" });
+  drawUnit();
   const data = columns(part, origin);
-  trace.series[2].alpha = crowded(part) ? 0.5 : 1; // the position shows through
   label(trace, 0, origin ? "time since the break-away (s)" : "time (s)");
   label(trace, 1, `position (${scale.unit})`); label(trace, 2, `velocity (${scale.speed})`);
   label(portrait, 0, `position (${scale.unit})`); label(portrait, 1, `velocity (${scale.speed})`);
@@ -312,28 +311,27 @@ function drawAll(part, from, to, origin, earlier, withFriction) {
   trace.batch(() => {
     trace.setData(data, false);
     trace.setScale("x", { min: from - origin, max: to - origin });
-    setRange(trace, "y", xLow, xHigh); setRange(trace, "w", vLow, vHigh);
+    setRange(trace, "y", xLow, xHigh, 1); setRange(trace, "w", vLow, vHigh, 0, 1);
   });
   portrait.batch(() => { setRange(portrait, "x", xLow, xHigh); setRange(portrait, "y", vLow, vHigh); portrait.redraw(false); });
   if (withFriction) drawFriction(part);
-  showCursor(trace);
+  showCursor();
 }
 
 function drawFriction(part) {
   const title = element("friction-title");
   if (!hasFriction()) { title.textContent = "friction curve: needs three slips between sticks"; return; }
-  const { mass, level_known } = summary.balance, { w, F, sd, slips } = summary.friction;
-  title.textContent = `friction curve: mean ± sd of ${slips} slip${slips === 1 ? "" : "s"}`;
-  label(friction, 0, `relative velocity: mass minus belt (${scale.speed})`);
+  const { mass, level_known } = summary.balance, { speed, F, sd, slips } = summary.friction;
+  title.textContent = `friction curve, ${slips} slip${slips === 1 ? "" : "s"}`;
+  label(friction, 0, `relative speed (${scale.speed})`);
   const quantity = mass !== null ? "friction" : "friction / mass", unit = mass !== null ? "N" : scale.unit === "mm" ? "m/s²" : "counts/s²";
   label(friction, 1, level_known ? `${quantity} (${unit})` : `${quantity} + constant (${unit})`);
   shown.cloud = cloudOf(part);
-  const [wLow, wHigh] = extent([0, ...w]), side = 0.06 * (wHigh - wLow);
+  const [wLow, wHigh] = extent([0, ...speed]), side = 0.06 * (wHigh - wLow);
   const tops = F.map((f, i) => f + (sd[i] ?? 0)), bottoms = F.map((f, i) => f - (sd[i] ?? 0));
   const ba = summary.friction.break_away, spread = summary.friction.break_away_sd ?? 0;
   const [low, high] = extent([...tops, ...bottoms, ...(level_known ? [0] : []), ...(ba === null ? [] : [ba - spread, ba + spread])]);
-  const room = 0.08 * (high - low); // for the word at the break-away
-  friction.batch(() => { setRange(friction, "x", wLow - side, wHigh + side); setRange(friction, "y", low - room, high + room); friction.redraw(false); });
+  friction.batch(() => { setRange(friction, "x", wLow - side, wHigh + side); setRange(friction, "y", low, high); friction.redraw(false); });
 }
 
 // ---- the cursor --------------------------------------------------------------------------------------------------
@@ -345,32 +343,53 @@ for (const [name, plot] of Object.entries({ portrait, friction })) {
   dots[name].hidden = true;
 }
 
+let marked = []; // the samples at the two marks of a difference, at most
+
+// The sample under the cursor of the trace; null where there is none.
+function underCursor() {
+  const { left } = trace.cursor, part = shown.rows;
+  if (!(left >= 0 && part && part.last > part.first)) return null;
+  const time = trace.posToVal(left, "x") + shown.origin, i = nearest(part, time);
+  return isFar(trace, part.t[i] - time) || part.x[i] !== part.x[i] ? null : { t: part.t[i], x: part.x[i], v: part.v[i], a: part.a[i], text: "" };
+}
+
+function markDifference() {
+  const sample = underCursor();
+  if (sample) marked = [...(marked.length < 2 ? marked : []), sample];
+  trace.redraw(false);
+  showCursor();
+}
+
+// Between the two marks, or between the first and the cursor.
+function difference(sample) {
+  const [first, second = sample] = marked;
+  if (!first || !second) return "";
+  const [dt, dx] = [second.t - first.t, second.x - first.x];
+  return `Δt ${onAxis(trace, "x", dt)} s, Δx ${onAxis(trace, "y", dx * scale.length)} ${scale.unit}, 1/Δt ${digits(1 / Math.abs(dt))} Hz`;
+}
+
 let held = null; // the time of a cursor that keys have moved
 
 // No sample is shown for a cursor that is beside the record, or in a gap.
 const isFar = (u, away) => !(Math.abs(away) < (u.scales.x.max - u.scales.x.min) / 50);
 
-// The sample under the cursor of the trace, in words and in the two other pictures.
-function showCursor(u) {
-  const { left } = u.cursor, part = shown.rows, at = element("trace-at");
-  const inside = left >= 0 && part && part.last > part.first;
-  if (!inside) { hideCursor(); return; }
-  const time = u.posToVal(left, "x") + shown.origin;
-  const i = nearest(part, time);
-  const [t, x, v, a] = [part.t[i], part.x[i], part.v[i], part.a[i]];
-  if (isFar(u, t - time) || x !== x) { hideCursor(); return; }
+// The sample under the cursor in words and in the two other pictures, and the difference between the marks.
+function showCursor() {
+  const sample = underCursor();
+  element("difference").textContent = difference(sample);
+  if (!sample) {
+    element("trace-at").textContent = "";
+    for (const name in dots) dots[name].hidden = true;
+    return;
+  }
+  const { t, x, v, a } = sample;
   let words = `t ${onAxis(trace, "x", t - shown.origin)} s, x ${onAxis(trace, "y", x * scale.length)} ${scale.unit}, v ${onAxis(trace, "w", v)} ${scale.speed}`;
   put("portrait", portrait, x * scale.length, v);
   if (hasFriction()) {
-    words += `, w ${onAxis(friction, "x", relative(v))} ${scale.speed}, F ${onAxis(friction, "y", force(x, v, a))}${summary.balance.mass === null ? "" : " N"}`;
-    put("friction", friction, relative(v), force(x, v, a));
+    words += `, relative speed ${onAxis(friction, "x", relativeSpeed(v))} ${scale.speed}, F ${onAxis(friction, "y", force(x, v, a))}${summary.balance.mass === null ? "" : " N"}`;
+    put("friction", friction, relativeSpeed(v), force(x, v, a));
   }
-  at.textContent = words;
-}
-
-function hideCursor() {
-  element("trace-at").textContent = "";
-  for (const name in dots) dots[name].hidden = true;
+  element("trace-at").textContent = words;
 }
 
 function put(name, plot, x, y) {

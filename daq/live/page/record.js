@@ -84,7 +84,7 @@ async function ask(from, to) {
     past = await fetched(Math.max(firstTime(), from - margin), Math.min(lastTime(), to + margin));
     notGiven = "";
   } catch {
-    notGiven = ended ? `the recording has ended: daq watch ${facts.file} shows all of it` : "older samples cannot be had: the viewer does not answer";
+    notGiven = ended ? `The recording has ended. Show all of it with daq watch ${facts.file}` : "Older samples are not available: the viewer does not respond.";
   }
   asking = null;
   redraw();

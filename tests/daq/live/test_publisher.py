@@ -91,7 +91,7 @@ def test_a_recorder_that_is_gone_ends_the_view(writer: journal.Writer, monkeypat
     clock = run._last_new + 4.0
     monkeypatch.setattr(publisher.time, "monotonic", lambda: clock)
     run.look()
-    assert run.ended == "the recording process has died: run daq recover run.h5.part"
+    assert run.ended == "The recording process is gone. Save the data with daq recover run.h5.part"
 
 
 def test_an_hour_takes_no_more_memory_than_some_minutes_and_can_be_looked_at_again(
@@ -142,6 +142,36 @@ def test_what_nothing_connects_is_told_with_a_row_without_a_position(writer: jou
     assert everything["x"].count(None) == 1
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.07], ids=["at once", "70 ms late: 6.54 s on the page, 6.608 s in the file"])
+def test_a_marker_has_the_same_time_on_the_page_as_in_the_file(
+    writer: journal.Writer, look: Any, monkeypatch: pytest.MonkeyPatch, delay_s: float
+) -> None:
+    run = LiveRun(writer.path)
+    for k in range(0, 6540, 20):
+        writer.append(journal.RECEIVED, round(1e9 + 1e6 * (k + 20)), lines(k, 20))
+    look(run)
+    stamp_ns = round(1e9 * (7.541 + delay_s))
+    monkeypatch.setattr(publisher.time, "monotonic_ns", lambda: stamp_ns)
+    run.mark("a hand")
+    for k in range(6540, 7000, 20):
+        look(run, (journal.RECEIVED, 1.0 + (k + 20) / 1000, lines(k, 20)))
+    (marker,) = [event["marker"] for event in told(run) if "marker" in event]
+    writer.append(journal.END, 9_000_000_000, b'{"reason": "stopped"}')
+    writer.sync()
+    whole, _ = run_data(journal.read(writer.path), journal.read_markers(journal.markers_path(writer.path)))
+    ((in_file, text),) = whole.markers
+    assert (marker["t"], marker["text"]) == (pytest.approx(in_file, abs=1e-6), text)
+    assert in_file == pytest.approx(6.54 + delay_s, abs=0.021)
+
+
+def test_the_view_names_the_command_that_fits_the_run(writer: journal.Writer, look: Any) -> None:
+    run = LiveRun(writer.path)
+    last = look(run, (journal.RECEIVED, 2, lines(0, 2001)), (journal.END, 3, b'{"reason": "stopped"}'))
+    assert last["ended"] == "Recording stopped by the user"
+    assert run.describe_run()["next"] == f"fit-friction {writer.path.with_suffix('')}"
+    assert last["duration"] == pytest.approx(2.0, abs=0.01)
+
+
 def test_blocks_of_a_program_are_analysed_and_can_be_looked_at_again(tmp_path: Path) -> None:
     motion = stick_slip(8, 1000.0, 2e-6)
     kept = tmp_path / "kept.h5.part"
@@ -152,7 +182,7 @@ def test_blocks_of_a_program_are_analysed_and_can_be_looked_at_again(tmp_path: P
         daq.record(blocks, tmp_path / "run.h5", rate_hz=1000, mass=0.5)
     run = LiveRun(kept)
     run.look()
-    assert run.ended == "the recording has ended: complete"
+    assert run.ended == "Recording complete"
     first = told(run)[0]
     assert (first["unit"], first["summary"]["balance"]["mass"]) == ("m", 0.5)
     assert first["summary"]["cycles"] >= 5
