@@ -80,7 +80,10 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
         (line,) = axes.plot(speed, force, lw=1.4 if place else 2.8, zorder=3, label=name, **style)
         if fit.law.rate:  # beside which no curve without a law is drawn
             half = BAND * friction_error(fit, motion, speed)
-            axes.fill_between(speed, force - half, force + half, color=line.get_color(), alpha=0.18, lw=0, zorder=2)
+            label = None if place else f"{BAND:g} standard errors"
+            axes.fill_between(
+                speed, force - half, force + half, color=line.get_color(), alpha=0.18, lw=0, zorder=2, label=label
+            )
         ends = ends if place else [*ends, force.min(), force.max()]
     slowest = _draw_loop(axes, *laws[0], motion, ends)
     low, high = min(ends), max(ends)
