@@ -1,10 +1,12 @@
 """What the fits of laws with memory find in records whose truth is known.
 
-``python benchmarks/memory_fits.py [--seeds N] [--first SEED] [--output FILE] [--write]``: for each law of `CONTACTS`
-and each noise of `NOISES`, N records (default 1; 7 make 63), whose contacts, counts, durations and belts are drawn by
-chance.  They are played by `rig_sim` (whose kernel ``benchmarks/memory_laws.py`` compares with scipy), with 2 % scatter
-of the friction, and read by an encoder at times that jitter.  Each law with memory is fitted to each record; the misfit
-of another law is infinite where it is given up.  ``--write`` puts the counts into docs/identification.md.
+``python benchmarks/memory_fits.py [--seeds N] [--first SEED] [--output FILE] [--verdicts] [--write]``: for each law of
+`CONTACTS` and each noise of `NOISES`, N records (default 1; 7 make 63), whose contacts, counts, durations and belts are
+drawn by chance.  They are played by `rig_sim` (whose kernel ``benchmarks/memory_laws.py`` compares with scipy), with
+2 % scatter of the friction, and read by an encoder at times that jitter.  Each law with memory is fitted to each
+record; the misfit of another law is infinite where it is given up.  ``--verdicts`` also ranks each record without
+naming a law, and counts the sets: those with the true law, and those of a wrong one alone.  ``--write`` puts the counts
+into docs/identification.md.
 """
 
 import argparse
@@ -19,6 +21,7 @@ import numpy as np
 import pages
 from competition import between
 
+import fitting
 import rig_sim
 from daq.runfile.recording import Recording
 from fitting.judge.law_fits import cut_run
@@ -113,7 +116,7 @@ def errors(fit: Fit, true: dict[str, float], mass: float) -> dict[str, float]:
     return {name: float(error) for name, error in found.items()}
 
 
-def run(law: str, noise: float, seed: int) -> dict[str, Any]:
+def run(law: str, noise: float, seed: int, *, verdict: bool) -> dict[str, Any]:
     """Fit all laws with memory to a record, from the nearest of law 5; misfits are over the record's resolution."""
     recording, true = make(law, noise, seed)
     motion = from_kinematics(smooth(recording), recording.rig, None)
@@ -132,6 +135,8 @@ def run(law: str, noise: float, seed: int) -> dict[str, Any]:
     best = fits[law]
     if isinstance(best, Fit) and mass is not None:
         row["errors"] = errors(best, true, mass.value)
+    if verdict:
+        row["set"] = [str(member) for member in fitting.rank(recording).members]
     return row
 
 
@@ -156,6 +161,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--output", type=Path, default=RESULTS / "memory_fits.json")
+    parser.add_argument("--verdicts", action="store_true", help="also rank all laws for each record")
     parser.add_argument("--write", action="store_true", help="put the counts into the table of the page")
     given = parser.parse_args()
     rows: list[dict[str, Any]] = []
@@ -163,14 +169,19 @@ def main() -> None:
     for seed in range(given.first, given.first + given.seeds):
         for law in CONTACTS:
             for noise in NOISES:
-                row = run(law, noise, seed)
+                row = run(law, noise, seed, verdict=given.verdicts)
                 rows.append(row)
                 told = [", ".join(f"{name} {value:.2f}" for name, value in row[key].items()) for key in KEYS]
+                told += [f"set {row['set']}"] if given.verdicts else []
                 print(f"{law} {1e6 * noise:.0f} um {seed}, {row['cpu_s']:.2f} CPU s: {' | '.join(told)}", flush=True)
                 given.output.write_text(json.dumps(rows, indent=1, default=str) + "\n")
     table = count(rows)
     for case, cells in table.items():
         print(f"| {' | '.join([case, *cells])} |")
+    if given.verdicts:
+        true = sum(row["law"] in row["set"] for row in rows)
+        wrong = sum(len(row["set"]) == 1 and row["set"] != [row["law"]] for row in rows)
+        print(f"the true law is in the set of {true} of {len(rows)} records; a wrong one is alone in {wrong}")
     if given.write:
         pages.write("identification.md", "memory_fits", table)
 

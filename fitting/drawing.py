@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fitting.judge.curve import MeasuredCurve
-from fitting.judge.friction import friction_at, mass, points, speeds, unit
+from fitting.judge.friction import friction_at, friction_error, mass, points, speeds, unit
 from fitting.palette import INK, MEASURED, law_styles
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
@@ -31,6 +31,7 @@ BELT_SPEED = r"belt speed $v_\mathrm{dr}$"
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 COLUMNS = 95  # of a line of the title
 MOST_POINTS = 12_000
+BAND = 2.0  # standard errors of the steady friction of a law with memory
 USUAL = 99.5  # percentile of the force balance up to which it is drawn
 
 Shown = Sequence[tuple[Fit, str, dict[str, Any]]]  # laws, best first, each with its name and line style
@@ -121,7 +122,13 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
         force = _force(fit, motion, speed)
         if measured is not None and not measured.level_known:
             force += float(np.mean(measured.friction - _force(fit, motion, measured.speed)))
-        axes.plot(speed, force, lw=1.4 if place else 2.8, zorder=3, label=name, **style)
+        (line,) = axes.plot(speed, force, lw=1.4 if place else 2.8, zorder=3, label=name, **style)
+        if fit.law.rate:  # beside which no curve without a law is drawn
+            half = BAND * friction_error(fit, motion, speed)
+            label = None if place else f"{BAND:g} standard errors"
+            axes.fill_between(
+                speed, force - half, force + half, color=line.get_color(), alpha=0.18, lw=0, zorder=2, label=label
+            )
         ends = ends if place else [*ends, force.min(), force.max()]
     slowest = _draw_loop(axes, *laws[0], motion, ends)
     low, high = min(ends), max(ends)

@@ -52,8 +52,8 @@ def test_cycle_has_the_promised_keys() -> None:
 
 def test_scenes_lists_name_title_and_terms(capsys: pytest.CaptureFixture[str]) -> None:
     rows = answer("scenes")
-    assert [row["name"] for row in rows] == ["base", "damped", "forced", "rig", "two-mass"]
-    assert rows[0]["terms"] == ["mass", "spring", "belt", "friction", "start"]
+    assert [row["name"] for row in rows] == ["ageing", "base", "damped", "forced", "lugre", "rig", "two-mass"]
+    assert rows[1]["terms"] == ["mass", "spring", "belt", "friction", "start"]
     assert all(row["title"] for row in rows)
     assert application.run(app, ["scenes"]) == 0
     assert "laboratory rig" in capsys.readouterr().out

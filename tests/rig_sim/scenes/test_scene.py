@@ -15,7 +15,7 @@ def changed(*settings: str, base: str = "base") -> Scene:
 
 
 def test_builtin_scenes_are_these() -> None:
-    assert builtin_names() == ["base", "damped", "forced", "rig", "two-mass"]
+    assert builtin_names() == ["ageing", "base", "damped", "forced", "lugre", "rig", "two-mass"]
     for name in builtin_names():
         assert scene(name).name == name
         assert scene(name).title
