@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fitting.judge.curve import MeasuredCurve
-from fitting.judge.friction import friction_at, friction_error, mass, points, speeds, unit
+from fitting.judge.friction import friction_at, mass, points, speeds, unit
+from fitting.judge.parameters import friction_band
 from fitting.palette import INK, MEASURED, law_styles
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
@@ -31,7 +32,7 @@ BELT_SPEED = r"belt speed $v_\mathrm{dr}$"
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 COLUMNS = 95  # of a line of the title
 MOST_POINTS = 12_000
-BAND = 2.0  # standard errors of the steady friction of a law with memory
+BAND_ALPHA = 0.05  # significance of the band of a law with memory
 USUAL = 99.5  # percentile of the force balance up to which it is drawn
 
 Shown = Sequence[tuple[Fit, str, dict[str, Any]]]  # laws, best first, each with its name and line style
@@ -124,8 +125,8 @@ def draw(axes: "Axes", laws: Shown, motion: MeasuredMotion, measured: MeasuredCu
             force += float(np.mean(measured.friction - _force(fit, motion, measured.speed)))
         (line,) = axes.plot(speed, force, lw=1.4 if place else 2.8, zorder=3, label=name, **style)
         if fit.law.rate:  # beside which no curve without a law is drawn
-            half = BAND * friction_error(fit, motion, speed)
-            label = None if place else f"{BAND:g} standard errors"
+            half = friction_band(fit, motion, speed, BAND_ALPHA)
+            label = None if place else f"{100 * (1 - BAND_ALPHA):g} % band"
             axes.fill_between(
                 speed, force - half, force + half, color=line.get_color(), alpha=0.18, lw=0, zorder=2, label=label
             )

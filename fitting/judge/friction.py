@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.judge.parameters import covariance
 from fitting.model.unknowns import PerCycle
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
@@ -48,16 +47,6 @@ def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
 def friction_at(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
     """In `unit`, at relative velocities w (n,), m/s in the record's sign."""
     return fit.force(w, mass(motion, fit))
-
-
-def friction_error(fit: Fit, motion: MeasuredMotion, speed: Array) -> Array:
-    """Return the standard error of friction at slip speeds (n,), in `unit`, to first order in the unknowns."""
-    spread = covariance(fit)
-    moved = np.diag(np.sqrt(np.diag(spread)))
-    slopes = [0.5 * (fit.task.friction(fit.q + by, speed) - fit.task.friction(fit.q - by, speed)) for by in moved]
-    correlation = spread / np.outer(np.diag(moved), np.diag(moved))
-    variance = np.einsum("in,ij,jn->n", slopes, correlation, slopes)
-    return np.asarray(mass(motion, fit) * np.sqrt(np.maximum(variance, 0.0)))
 
 
 def points(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:

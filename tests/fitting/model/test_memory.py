@@ -12,7 +12,7 @@ import fitting
 import rig_sim
 from daq.runfile.rig import Rig
 from fitting.drawing import draw
-from fitting.judge.friction import friction_error
+from fitting.judge.parameters import friction_band
 from fitting.laws import MEMORY, SIX
 from fitting.least_squares.normal_equations import SchurComplement
 from fitting.model import memory
@@ -192,10 +192,10 @@ def test_a_loop_of_one_cycle_surrounds_the_friction_of_steady_slip():
 
 def test_the_steady_friction_is_within_its_errors():
     fit, speed = fit_memory(MEMORY["lugre"], [run_of("lugre")], nearest("lugre")), np.geomspace(0.01, 0.6, 20)
-    error = friction_error(fit, run_of("lugre").motion, speed)
+    band = friction_band(fit, run_of("lugre").motion, speed, 0.01)
     true = MASS * MEMORY["lugre"].curve.value(speed, truth("lugre"))
-    assert np.all(np.abs(MASS * fit.task.friction(fit.q, speed) - true) < 3 * error)
-    assert np.all(error < 0.03 * true)
+    assert np.all(np.abs(MASS * fit.task.friction(fit.q, speed) - true) < band)
+    assert np.all(band < 0.1 * true)
 
 
 def test_a_belt_that_slows_under_load_is_not_modelled_with_memory():
