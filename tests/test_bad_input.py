@@ -326,7 +326,7 @@ REFUSED = [
     ("daq import table.csv -o new.h5 --belt 22cm", "--belt-speed", "did you mean 'cm/s'?"),
     ("daq export run.h5", "give -o FILE.csv or -o FILE.parquet"),
     ("process inspect run.h5 -o", "write a value after -o"),
-    ("process smooth run.h5 --window 20", "take 21"),
+    ("process smooth run.h5 --window 20", "use 21"),
     ("rig-sim cycle", "as in 'rig-sim cycle base"),
     ("rig-sim sweep two-mass", "--over requires an argument; as in 'rig-sim sweep two-mass --over"),
     ("stickslip fitt run.h5", "Did you mean", "fit"),

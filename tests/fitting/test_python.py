@@ -207,7 +207,7 @@ def test_a_picture_goes_into_axes_that_are_given(ranking):
     axes = Figure().add_subplot()
     assert ranking.plot(ax=axes) is axes.figure
     assert len(axes.get_lines()) >= 2
-    assert axes.get_ylabel() == "friction (N)"
+    assert axes.get_ylabel() == "friction $F$ (N)"
 
 
 def test_several_runs_have_residuals_each_and_no_common_time(joint):
