@@ -1,4 +1,4 @@
-"""Which friction law was it: ``fitting.rank(run)`` fits six laws, and laws of one's own, and ranks them."""
+"""Which friction law was it: ``fitting.rank(run)`` fits six laws, published and custom ones, and ranks them."""
 
 from typing import TYPE_CHECKING
 

@@ -501,7 +501,7 @@ class Competitors:
         names = [law.name for law in self.laws]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
-            raise InputError(f"two laws have the name {twice[0]}", "--law", "give each law a name of its own")
+            raise InputError(f"two laws have the name {twice[0]}", "--law", "give each law a different name")
         newtons: set[str] = set()
         for flag, kind in (("--fix", "fix"), ("--bound", "bounds"), ("--start", "start")):
             object.__setattr__(self, kind, self._in_numbers(getattr(self, kind), flag, newtons))

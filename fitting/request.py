@@ -100,7 +100,7 @@ def _refuse_outputs(runs: list[Path], outputs: OutputFlags, places: Places) -> N
     seen: set[Path] = set()
     for output in (*places.reports, places.comparison, places.joint_file, csv, curve_csv, scene):
         if output is not None and output.resolve() in seen:
-            raise InputError("is the name of two outputs", str(output), "give each output a name of its own")
+            raise InputError("is the name of two outputs", str(output), "give each output a different name")
         if output is not None:
             seen.add(output.resolve())
     if places.comparison is not None:

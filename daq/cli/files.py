@@ -45,7 +45,8 @@ def import_table(
     of the slips.
 
     A tribometer's record of the force of a pulling spring is read by --spring-force: the position is force /
-    stiffness, as seen from the pulling end, which moves at --belt-speed.  A belt that was measured is --belt-column.
+    stiffness, as seen from the pulling end, which moves at --belt-speed.  If the belt was measured, name
+    its column with --belt-column.
 
     Example: daq import track.csv
 
