@@ -171,7 +171,7 @@ def _console(stderr: bool = False, markup: bool = False) -> "Console":
             return super().render_str(printable(text, self.encoding), **how)
 
         def on_broken_pipe(self) -> None:  # rich's own ends the process with exit code 1
-            raise BrokenPipeError
+            raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
 
     return Printing(stderr=stderr, markup=markup, emoji=False, soft_wrap=False)
 

@@ -36,7 +36,7 @@ def test_the_first_screen_answers_which_law_which_numbers_and_how_sure(report, b
     page = browser.new_page(viewport={"width": width, "height": height})
     page.goto(report.as_uri())
     lowest = {name: page.locator(name).first.bounding_box() for name in shown}
-    titles = page.locator("svg[aria-label^=Phase] text", has_text=re.compile("^law [1-6]")).count()
+    titles = page.locator("svg[aria-label^=Phase] text", has_text=re.compile("^(constant|linear|hyperbolic)")).count()
     wide = page.evaluate("document.documentElement.scrollWidth")
     pictures = page.evaluate(
         "[...document.querySelectorAll('.wide svg')].map(svg => svg.clientWidth).filter(width => width)"
