@@ -30,18 +30,13 @@ from rig_sim.friction.memory import AGEING, BRISTLE
 from rig_sim.integrate.memory import TRIALS, event_share, motion_within, relative_error, rosenbrock_step
 from stickslip.compute.arrays import Array, Integers
 
-# x sqrt(m/k): the first step, and the shortest creep; a tenth and ten times as long change positions by less than 1e-7
-# of the travel.
-SHORTEST = 1e-3
-# Of a window, so that no search is held up by bristles that ring: usual ones take 100 to 500 steps, bristles
-# without damping 17 to 34 for each of their periods.
-MOST_STEPS = 2000
-# Slip of rate and state over the belt's speed: below the first one friction balances the load, above the second it no
-# longer does.  A hundred times as much errs by 2e-6 and 4e-7 of the travel, a hundredth costs 1 % more steps.
+FIRST_STEP = 1e-3  # x sqrt(m/k)
+MOST_STEPS = 2000  # of a window; usual ones take 100 to 300
+# Of rate and state, over the belt's speed: slip below which friction balances the load, and from which it ends to.
 CREEP_BEGINS, CREEP_ENDS = 1e-4, 1e-9
-# Of an unknown over its size where a window begins, and the least size (1 would be larger than a D of 1 um): a
-# hundredth and a thousandth are rounding, half and twice change no derivative.
-DIFFERENCE, LEAST_SIZE = 1e-6, 1e-3
+SHORTEST_CREEP = 1e-4  # x sqrt(m/k)
+LANDING_STEPS = 3  # Newton steps to the end of the step that lands
+DIFFERENCE, LEAST_SIZE = 1e-6, 1e-3  # of an unknown over its size, where a window begins; and the least size
 SHARED = (Global.K, Global.V_DR, Global.DATUM, Global.DAMPING)
 BRISTLES, RATE_AND_STATE = ("s0", "s1", "Fc", "Fs", "v_s"), ("F0", "a", "b", "D", "v0")
 PARAMETERS = (*BRISTLES, *RATE_AND_STATE)
@@ -287,12 +282,12 @@ def follow_window(law: int, p: Array, own: Array, scale: Array, time: Array, x: 
         first_derivatives(law, p, own, spread, d)
         set_speed(flow, u, landed, d, f, speed)
     t, end = time[0], time[time.size - 1]
-    step = SHORTEST / math.sqrt(p[0])
+    step = FIRST_STEP / math.sqrt(p[0])
     n, i, trials = 0, 0, 0
     while t < end:
         h = min(step, end - t)
         if creeping:
-            while h > SHORTEST / math.sqrt(p[0]) and creep(flow, u, h, CREEP_ENDS) == u:
+            while h > SHORTEST_CREEP / math.sqrt(p[0]) and creep(flow, u, h, CREEP_ENDS) == u:
                 h *= 0.5
             if creep(flow, u, h, CREEP_ENDS) == u:
                 creeping, step = False, h
@@ -334,8 +329,12 @@ def follow_window(law: int, p: Array, own: Array, scale: Array, time: Array, x: 
         lands = not landed and p[1] - stop[1] < flow.edge
         if lands:
             h *= event_share(flow, modes.NEGATIVE, h, start, stop)
-            after, _ = rosenbrock_step(flow, t, u, h)
+            after, error = rosenbrock_step(flow, t, u, h)
             stop = motion_of(flow, t + h, after)
+            for _i in range(LANDING_STEPS):
+                h += (slip(flow, after[1], after[2])[0] - flow.edge) / stop[2]
+                after, error = rosenbrock_step(flow, t, u, h)
+                stop = motion_of(flow, t + h, after)
         if not (math.isfinite(stop[0]) and math.isfinite(stop[1]) and math.isfinite(after[2])):
             return False
         first = i
@@ -365,7 +364,7 @@ def follow_window(law: int, p: Array, own: Array, scale: Array, time: Array, x: 
                 land(before, flow, t, u, stop[2], d, speed)
                 set_speed(flow, u, landed, d, f, speed)
         if law != BRISTLE and p[1] - start[1] < CREEP_BEGINS * p[1]:
-            creeping = creep(flow, u, SHORTEST / math.sqrt(p[0]), CREEP_ENDS) != u
+            creeping = creep(flow, u, SHORTEST_CREEP / math.sqrt(p[0]), CREEP_ENDS) != u
         n += 1
     while i < time.size:
         store(flow, (start[0] + start[1] * (time[i] - t), start[1], start[2]), x, i)
