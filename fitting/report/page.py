@@ -219,16 +219,8 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     return f"{item.value:.{digits}f}", f"{item.stderr:#.2g}".rstrip("."), interval, unit
 
 
-def format_estimate(item: Parameter) -> str:
-    """Return value and standard error with two digits of the error; no error where it is withheld."""
-    value, error, _, _ = format_interval(item)
-    if item.fixed:
-        return f"{value} ({error})"
-    return f"{value} ± {item.stderr:.{item.decimals}f}" if item.trusted else value
-
-
 FILTERS: dict[str, Callable[..., Any]] = {
-    "estimate": lambda item: format_estimate(in_shown_unit(item)),
+    "estimate": lambda item: replace(in_shown_unit(item), unit="").brief.replace(" +- ", " ± "),
     "evidence": format_evidence,
     "interval": lambda item: format_interval(in_shown_unit(item)),
     "length_text": lambda value: symbols.pretty(format_length(value)),
