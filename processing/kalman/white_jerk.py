@@ -108,28 +108,31 @@ def fit(series: Series) -> Noise:
         stretches = _pick_stretches(series, length)
         if not stretches:
             return Noise(math.exp(LOG_RHO[0]) * floor / series.interval**5, floor)
-        log_rho, reading = _fit_scaled(series, stretches, floor)
+        log_rho, noise = _fit_scaled(series, stretches, floor)
         whole = len(stretches) * length < FIT_SAMPLES or length >= FIT_SAMPLES
         if whole or equivalent_window(math.exp(log_rho), 8 * length) < length / 4:
             break
         length *= 8
     n = series.time.size
-    noise = Noise(math.exp(log_rho) * reading / series.interval**5, reading)
     if n <= FIT_SAMPLES and equivalent_window(math.exp(log_rho), n) > n / 4:
         missed = float(np.mean((smooth(series, noise).position - series.origin - series.position) ** 2))
-        if missed > MISSED**2 * reading:
-            log_rho, reading = _fit_scaled(series, _pick_moving(series, series.pieces), floor)
-            noise = Noise(math.exp(log_rho) * reading / series.interval**5, reading)
+        if missed > MISSED**2 * noise.reading:
+            _, noise = _fit_scaled(series, _pick_moving(series, series.pieces), floor)
     return noise
 
 
-def _fit_scaled(series: Series, stretches: list[tuple[Array, Array]], floor: float) -> tuple[float, float]:
-    """Return log rho of the greatest likelihood and the variance of a reading there, m^2, at least the floor's."""
+def _fit_scaled(series: Series, stretches: list[tuple[Array, Array]], floor: float) -> tuple[float, Noise]:
+    """Return log rho of the greatest likelihood, and the noise there, whose readings have at least the floor's variance.
+
+    The least variance leaves the jerk as it is: a record that shows no noise would get an unlimited one at this rho.
+    """
     # Not the median: where the belt moves whole counts a sample, most third differences are only rounding.
     third_difference = np.percentile(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])), 90)
     scale = max(float(third_difference) ** 2 / 20, floor)  # near the variance of a reading, so that numbers stay near 1
     log_rho, reading = _maximise_likelihood([(time, position / math.sqrt(scale)) for time, position in stretches])
-    return log_rho, max(reading * scale, 0.25 * floor if reading_step(series) else floor)
+    reading *= scale
+    jerk = math.exp(log_rho) * reading / series.interval**5
+    return log_rho, Noise(jerk, max(reading, 0.25 * floor if reading_step(series) else floor))
 
 
 def _pick_stretches(series: Series, length: int, samples: int = FIT_SAMPLES) -> list[tuple[Array, Array]]:
