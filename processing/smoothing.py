@@ -8,7 +8,8 @@ never read here.
 import logging
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,21 +56,13 @@ def smooth(
     """Estimate position, velocity and acceleration from a recording; see `processing.smooth` for the parameters."""
     started = clock.process_time()
     _check_options(method, repair_counts)
-    data = series.from_recording(recording, times)
-    n, setting = data.time.size, (method, window, order, belt_speed, repair_counts)
+    run = _Samples.of_recording(recording, times)
     if model:
         motion_model = restore(MotionModel, model, restore(Units, model["units"], Units()))
     else:
-        motion_model, _ = _learn_model(
-            lambda samples: _take_part(recording, data, samples), recording.position.__getitem__, n, *setting
-        )
-    margin, length = (0, n) if n <= LARGE else (_margin(motion_model), BLOCK)
-
-    def read(begin: int, end: int) -> "tuple[Recording, Series, int]":
-        first, last = max(begin - margin, 0), min(end + margin, n)
-        return (recording, data, 0) if last - first == n else (*_take_part(recording, data, slice(first, last)), first)
-
-    smoothed = list(_apply_in_blocks(read, n, length, motion_model, repair_counts))
+        motion_model, _ = _learn_model(run, method, window, order, belt_speed, repair_counts)
+    margin, length = (0, run.number) if run.number <= LARGE else (_margin(motion_model), BLOCK)
+    smoothed = list(_apply_in_blocks(run, length, margin, motion_model, repair_counts))
     findings = [block.findings for block in smoothed]
     header = blocks.join(motion_model, findings, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
     columns: dict[str, Any] = {
@@ -98,28 +91,24 @@ def smooth_file(
     """
     started = clock.process_time()
     _check_options(method, repair_counts)
-    with store.open_reader(path, samples) as run:
-        n = run.samples
-        setting = method, window, order, belt_speed, repair_counts
-        start = run.load(slice(0, 1))
-        model, recording = _learn_model(lambda part: _read_part(run, part, times, start), run.positions, n, *setting)
+    with store.open_reader(path, samples) as reader:
+        run = _Samples.of_file(reader, times)
+        model, recording = _learn_model(run, method, window, order, belt_speed, repair_counts)
     belt = belt_motion.has_belt_encoder(recording)
-    block_findings: list[BlockFindings] = []
     summaries: list[SmoothingSummary] = []
 
     def write(entry: h5py.Group) -> None:
-        table = stage.begin(entry, n, recording.unit, belt=belt)
-        with store.open_reader(path, samples) as run:
-            reader = _Reader(run, times, _margin(model), start)
-            done = 0
-            for block in _apply_in_blocks(reader.read, n, BLOCK, model, repair_counts):
-                block_findings.append(block.findings)
+        findings: list[BlockFindings] = []
+        table = stage.begin(entry, run.number, recording.unit, belt=belt)
+        done = 0
+        with store.open_reader(path, samples) as reader:
+            again = replace(run, load=reader.load, positions=reader.positions)
+            for block in _apply_in_blocks(again, BLOCK, _margin(model), model, repair_counts):
+                findings.append(block.findings)
                 stage.fill(table, done, block.columns)
                 done += block.findings.samples
                 progress(done)
-        header = blocks.join(
-            model, block_findings, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix"
-        )
+        header = blocks.join(model, findings, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
         summary = SmoothingSummary(**header, times=times, cpu_s=clock.process_time() - started)
         summaries.append(summary)
         stage.finish(entry, summary, recording.digest, samples)
@@ -128,22 +117,46 @@ def smooth_file(
     return summaries[0]
 
 
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """The samples of a run, in memory or in a file, of which some are read at a time."""
+
+    number: int
+    load: "Callable[[slice], Recording]"
+    positions: Callable[[slice], Array]  # m or counts
+    first: "Recording"  # the first sample, which positions are relative to
+    axis: Array | None  # even times of all samples, s; None for the recorded ones
+
+    @classmethod
+    def of_recording(cls, recording: "Recording", times: str) -> "_Samples":
+        data = series.from_recording(recording, times)  # refuses a record that cannot be smoothed
+        part = partial(_take_part, replace(recording, time=data.time))
+        return cls(data.time.size, part, recording.position.__getitem__, recording, None)
+
+    @classmethod
+    def of_file(cls, reader: store.RunReader, times: str) -> "_Samples":
+        axis = series.read_nominal_times(reader) if times == "nominal" else None
+        return cls(reader.samples, reader.load, reader.positions, reader.load(slice(0, 1)), axis)
+
+    def read(self, part: slice) -> "tuple[Recording, Series]":
+        """Return some of the samples."""
+        recording = self.load(part)
+        return recording, series.from_recording(
+            recording if self.axis is None else replace(recording, time=self.axis[part]), start=self.first
+        )
+
+
 def _margin(model: MotionModel) -> int:
     """Return how many samples are also smoothed on either side of a block."""
     return int(np.clip(max(2 * model.window, MARGIN_SLIPS * model.slip), *MARGIN))
 
 
-def _apply_in_blocks(
-    read: "Callable[[int, int], tuple[Recording, Series, int]]", n: int, length: int, model: MotionModel, repair: str
-) -> Iterator[BlockMotion]:
-    """Smooth a record of n samples in blocks of ``length``.
-
-    ``read`` returns the samples from one number to another with their neighbours, and the number of the first of these.
-    """
+def _apply_in_blocks(run: _Samples, length: int, margin: int, model: MotionModel, repair: str) -> Iterator[BlockMotion]:
+    """Smooth a record in blocks of ``length`` samples, each with ``margin`` samples on either side."""
     findings: list[BlockFindings] = []
-    for begin in range(0, n, length):
-        end = min(begin + length, n)
-        part, data, low = read(begin, end)
+    for begin in range(0, run.number, length):
+        end, low = min(begin + length, run.number), max(begin - margin, 0)
+        part, data = run.read(slice(low, min(end + margin, run.number)))
         before = blocks.steps_before(findings, int(part.segment[0]), low)
         block = blocks.apply(part, data, slice(begin - low, end - low), low, model, repair=repair, before=before)
         findings.append(block.findings)
@@ -157,29 +170,19 @@ def _check_options(method: str, repair_counts: str) -> None:
 
 
 def _learn_model(
-    read: "Callable[[slice], tuple[Recording, Series]]",
-    positions: Callable[[slice], Array],
-    n: int,
-    method: str,
-    window: int | str,
-    order: int | None,
-    belt_speed: float | str,
-    repair_counts: str,
+    run: _Samples, method: str, window: int | str, order: int | None, belt_speed: float | str, repair_counts: str
 ) -> "tuple[MotionModel, Recording]":
-    """Return the model of a record of n samples, and the recording of the stretches that it was learned from.
-
-    ``read`` returns some of the samples, ``positions`` only their positions, m.
-    """
-    record = survey(positions, n)
+    """Return the model of a record, and the recording of the stretches that it was learned from."""
+    record = survey(run.positions, run.number)
     requested_setting = Setting(None if window == "auto" else 0, order)
     for least in registry.sample_counts(method, requested_setting):
         picked_stretches = record.stretches(least)
-        recording, data, number = _join_parts([read(stretch) for stretch in picked_stretches], picked_stretches)
+        recording, data, number = _join_parts([run.read(stretch) for stretch in picked_stretches], picked_stretches)
         units = record.units(data.interval, float(data.time[0]))
-        stretches = Stretches(recording, data, number, positions, record, units)
+        stretches = Stretches(recording, data, number, run.positions, record, units)
         setting = _parse_setting(window, order, belt_speed, data, recording.unit)
         model = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
-        if model.method.sticks is not None or data.time.size == n:
+        if model.method.sticks is not None or data.time.size == run.number:
             break
     return model, recording
 
@@ -195,16 +198,11 @@ def _parse_setting(window: int | str, order: int | None, belt_speed: float | str
     return replace(parse_window(window, order, data), belt_speed=speed)
 
 
-def _read_part(run: store.RunReader, samples: slice, times: str, start: "Recording") -> "tuple[Recording, Series]":
-    recording = run.load(samples)
-    return recording, series.from_recording(recording, times, start=start)
-
-
-def _take_part(recording: "Recording", data: Series, samples: slice) -> "tuple[Recording, Series]":
+def _take_part(recording: "Recording", samples: slice) -> "Recording":
     count, belt, raw = recording.count, recording.belt_count, recording.raw
-    part = replace(
+    return replace(
         recording,
-        time=data.time[samples],
+        time=recording.time[samples],
         position=recording.position[samples],
         count=None if count is None else count[samples],
         raw=None
@@ -213,10 +211,6 @@ def _take_part(recording: "Recording", data: Series, samples: slice) -> "tuple[R
         segment=recording.segment[samples],
         belt_count=None if belt is None else belt[samples],
     )
-    kept = np.zeros(data.time.size, bool)
-    kept[samples] = True
-    # The interval of these samples, as when a file is read block by block.
-    return part, replace(data.select(kept), interval=float(np.median(np.diff(part.time))))
 
 
 def _join_parts(parts: "list[tuple[Recording, Series]]", slices: list[slice]) -> "tuple[Recording, Series, Integers]":
@@ -245,33 +239,3 @@ def _join_parts(parts: "list[tuple[Recording, Series]]", slices: list[slice]) ->
             pieces=tuple(pieces),
         )
     return recording, data, number
-
-
-class _Reader:
-    """Reads blocks of a run with ``margin`` samples on either side, on a common time axis and from a common origin."""
-
-    def __init__(self, run: store.RunReader, times: str, margin: int, start: "Recording") -> None:
-        self._run, self._times, self._margin, self._start = run, times, margin, start
-        self._anchors: dict[int, tuple[float, int]] = {}
-        self._grid = None
-        n = run.samples
-        if times == "nominal" and self._start.raw is None:
-            # An import has no sample numbers, so its even grid depends on the whole record.
-            self._grid = series.learn_grid(run, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
-
-    def read(self, begin: int, end: int) -> "tuple[Recording, Series, int]":
-        """Return samples begin..end-1 with their neighbours, and the number of the first of these."""
-        first, last = max(begin - self._margin, 0), min(end + self._margin, self._run.samples)
-        recording = self._run.load(slice(first, last))
-        grid = None if self._grid is None else self._grid.times(first, recording.time)
-        data = series.from_recording(recording, self._times, self._anchor(recording), grid, self._start)
-        return recording, data, first
-
-    def _anchor(self, recording: "Recording") -> tuple[float, int] | None:
-        """Return time and number of the first sample of the first segment of a block."""
-        if self._times != "nominal" or recording.raw is None:
-            return None
-        for segment in np.unique(recording.segment).tolist():
-            first = int(np.argmax(recording.segment == segment))
-            self._anchors.setdefault(segment, (float(recording.time[first]), int(recording.raw.sample[first])))
-        return self._anchors[int(recording.segment[0])]

@@ -122,7 +122,7 @@ def fit(series: Series) -> Noise:
 
 
 def _fit_scaled(series: Series, stretches: list[tuple[Array, Array]], floor: float) -> tuple[float, Noise]:
-    """Return log rho of the greatest likelihood, and the noise there, whose readings have at least the floor's variance.
+    """Return log rho of the greatest likelihood, and the noise there; a reading has at least the variance ``floor``.
 
     The least variance leaves the jerk as it is: a record that shows no noise would get an unlimited one at this rho.
     """

@@ -1,4 +1,4 @@
-"""A record prepared for smoothing: its units, its pieces, steps of its position, and the even grid of a long import.
+"""A record prepared for smoothing: its units, its pieces, steps of its position, and the even grid.
 
 Units.  Positions and times are scaled before smoothing and back to SI units after it.  In between no second, hertz or
 metre exists: a threshold is a number of samples, of standard deviations of the noise, of slips, or a ratio.  Both units
@@ -11,11 +11,11 @@ of more than `HOLE` (`stickslip.compute.arrays`) sample intervals ends a piece, 
 smoothed across a cut.  A shorter hole stays inside its piece: the recorded times say where the neighbours lie.
 
 Grid.  An import has no sample numbers: intervals are multiples of the usual one, and the grid runs from the first time
-to the last.  It is learned in one pass over the times, equal to that of `nominal_times`.
+to the last.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import pairwise
@@ -25,7 +25,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.compute.arrays import HOLE, Array, Integers, Mask, pieces
+from stickslip.compute.arrays import HOLE, Array, Mask, pieces
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
@@ -61,6 +61,7 @@ def measured_in(units: Units, speed: Measured | None) -> Measured | None:
 
 LEAST = 5  # samples: a local parabola and its error need as many
 TIMES = ("recorded", "nominal")
+READ = 2**16  # samples of a file read at a time
 
 Result = TypeVar("Result")
 
@@ -134,18 +135,10 @@ def computed_once(function: Callable[[Series], Result]) -> Callable[[Series], Re
     return compute
 
 
-def from_recording(
-    recording: "Recording",
-    times: str = "recorded",
-    anchor: "tuple[float, int] | None" = None,
-    grid: Array | None = None,
-    start: "Recording | None" = None,
-) -> Series:
+def from_recording(recording: "Recording", times: str = "recorded", start: "Recording | None" = None) -> Series:
     """Return the series of a recording; InputError for samples that are too few, not finite or not increasing in time.
 
-    For "nominal" times, ``anchor`` is time and number of the sample at which the grid of the first segment starts (by
-    default the first one), and ``grid`` the whole grid if already known.  Positions are relative to the first sample of
-    ``start``, by default of ``recording``.
+    Positions are relative to the first sample of ``start``, by default of ``recording``.
     """
     where = recording.where
     if times not in TIMES:
@@ -154,7 +147,10 @@ def from_recording(
     if recorded.size < LEAST:
         raise InputError(f"has {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
-    time = recorded if times == "recorded" else nominal_times(recording, anchor) if grid is None else grid
+    time = recorded
+    if times == "nominal":
+        number = None if recording.raw is None else recording.raw.sample
+        time = nominal_times(recorded, segment, number, recording.rate_hz)
     check_numbers(time, positions, where)
     pitch, start = 0.0, recording if start is None else start
     if recording.count is not None and start.count is not None:
@@ -194,36 +190,39 @@ def check_numbers(time: Array, position: Array, where: str) -> None:
         )
 
 
-def nominal_times(recording: "Recording", anchor: "tuple[float, int] | None" = None) -> Array:
+def nominal_times(
+    recorded: Array, segment: NDArray[np.integer], number: NDArray[np.integer] | None, rate_hz: float
+) -> Array:
     """Return an even grid, s: the first recorded time of each segment plus sample number over rate.
 
-    Lost samples keep their place, by sequence number if recorded, else by the length of the hole.
+    Lost samples keep their place, by their ``number`` if recorded, else by the length of the hole.
     """
-    recorded = recording.time
     time = np.empty_like(recorded)
-    edges = [0, *(np.flatnonzero(np.diff(recording.segment.astype(np.int64)) != 0) + 1).tolist(), recorded.size]
+    edges = [0, *(np.flatnonzero(np.diff(segment.astype(np.int64)) != 0) + 1).tolist(), recorded.size]
     for first, last in pairwise(edges):
         samples = slice(first, last)
-        if recording.raw is not None:
-            step = 1.0 / recording.rate_hz
-            number = recording.raw.sample[samples].astype(np.int64)
-            start, zero = (recorded[first], number[0]) if anchor is None or first else anchor
-            time[samples] = start + (number - zero) * step
-            continue
+        if number is not None:
+            steps, step = number[samples].astype(np.int64) - int(number[first]), 1.0 / rate_hz
         else:
             gaps = np.diff(recorded[samples])
-            step = float(np.median(gaps)) if gaps.size else 1.0 / recording.rate_hz
+            step = float(np.median(gaps)) if gaps.size else 1.0 / rate_hz
             # Interval by interval: over a long record a small error of the step would add up to samples.
-            number = np.concatenate(([0], np.cumsum(count_intervals(gaps, step))))
+            steps = np.concatenate(([0], np.cumsum(np.maximum(np.rint(gaps / step), 1).astype(np.int64))))
             if gaps.size:
-                step = float(recorded[last - 1] - recorded[first]) / float(number[-1])
-        time[samples] = recorded[first] + number * step
+                step = float(recorded[last - 1] - recorded[first]) / float(steps[-1])
+        time[samples] = recorded[first] + steps * step
     return time
 
 
-def count_intervals(gaps: Array, step: float) -> Integers:
-    """Return how many steps each gap is long, at least one."""
-    return np.asarray(np.maximum(np.rint(gaps / step), 1).astype(np.int64))
+def read_nominal_times(run: "RunReader") -> Array:
+    """Return the even grid of a run in a file, s, which is read block by block."""
+    rows = []
+    for first in range(0, run.samples, READ):
+        part = run.load(slice(first, first + READ))
+        rows.append((part.time, part.segment, None if part.raw is None else part.raw.sample))
+    recorded, segment, number = zip(*rows, strict=True)
+    numbers = None if part.raw is None else np.concatenate(number)
+    return nominal_times(np.concatenate(recorded), np.concatenate(segment), numbers, part.rate_hz)
 
 
 @dataclass(frozen=True)
@@ -260,41 +259,3 @@ def without_steps(series: Series, offset: Array) -> Series:
 def step_profile(width: int) -> Array:
     """Return the share of a step of ``width`` samples that is complete at each of them."""
     return np.arange(1, width + 1) / width
-
-
-@dataclass(frozen=True)
-class ImportGrid:
-    start: float  # first time, s
-    step: float  # s
-    usual: float  # interval of the recorded times, s
-    numbers: dict[int, int]  # number on the grid of some samples
-
-    def times(self, low: int, recorded: Array) -> Array:
-        """Return the times on the grid of the samples from ``low`` on, which `numbers` must contain."""
-        steps = np.concatenate(([0], np.cumsum(count_intervals(np.diff(recorded), self.usual))))
-        return np.asarray(self.start + (self.numbers[low] + steps) * self.step)
-
-
-def learn_grid(run: "RunReader", lows: Sequence[int]) -> ImportGrid:
-    """Learn the grid of a run, with the numbers of the samples ``lows``, which increase from 0.
-
-    The usual interval is the median over the stretches between ``lows``.
-    """
-    edges = [*lows, run.samples - 1]
-    usual = float(np.median([np.median(np.diff(_times(run, samples))) for samples in _stretches(edges)]))
-    numbers, number, start, end = {0: 0}, 0, 0.0, 0.0
-    for first, last in _stretches(edges):
-        time = _times(run, (first, last))
-        start = float(time[0]) if first == 0 else start
-        end = float(time[-1])
-        number += int(count_intervals(np.diff(time), usual).sum())
-        numbers[last] = number
-    return ImportGrid(start, (end - start) / number, usual, numbers)
-
-
-def _stretches(edges: Sequence[int]) -> list[tuple[int, int]]:
-    return [(first, last) for first, last in pairwise(edges) if last > first]
-
-
-def _times(run: "RunReader", samples: tuple[int, int]) -> Array:
-    return run.load(slice(samples[0], samples[1] + 1)).time
