@@ -4,19 +4,11 @@ At every value the attractors are found anew, so that none is lost where another
 can be shared out over processes.  Attractors of neighbouring values are then numbered alike where they lie closest.
 """
 
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 SAME_POINT = 1e-7  # share of the interval: points of the section closer than this are drawn as one
-# Duration of a task for one process, s.  To send one, and its results, takes 0.2 ms with processes, 7 ms with dask.
-TASK_S = 0.2
-# Where fewer tasks remain, they are halved, so that the processes end closer together.
-LAST_TASKS = 16
-# Of the number of values in a task: the next value may take 1000 times longer than one without a drive.
-MOST_GROWTH = 2
 
 Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -57,7 +49,7 @@ def sweep(
     missing = [value for value in values if value not in results]
     done = len(values) - len(missing)
     progress(done)
-    for value, attractors in find_each(find, missing, spread):
+    for value, attractors in zip(missing, spread(find, missing), strict=True):
         keep(value, attractors)
         results[value] = attractors
         done += 1
@@ -68,43 +60,6 @@ def sweep(
         previous = number_as_before(results[value], previous) or previous
         rows_in_order += previous if results[value] else []
     return rows_in_order
-
-
-def find_each(
-    find: Callable[[float], list[AttractorAt]], values: Sequence[float], spread: Spread
-) -> Iterator[tuple[float, list[AttractorAt]]]:
-    """Yield each value with its attractors, in order; for other processes the values are grouped in tasks of `TASK_S`.
-
-    The number of values in a task follows from the duration of the last task that came back.
-    """
-    if spread is map:  # in this process: each value is at hand as soon as it is found
-        yield from ((value, find(value)) for value in values)
-        return
-    size, growing = 1, True
-
-    def tasks() -> Iterator[Sequence[float]]:
-        first = 0
-        while first < len(values):
-            number = size
-            if not growing:
-                number = max(min(size, (len(values) - first) // LAST_TASKS), (size + 1) // 2)
-            task = values[first : first + number]
-            first += len(task)
-            yield task
-
-    for results, seconds in spread(partial(find_timed, find), tasks()):
-        fitting = len(results) * TASK_S / max(seconds, 1e-9)
-        growing = fitting > MOST_GROWTH * len(results)
-        size = max(1, min(round(fitting), MOST_GROWTH * len(results)))
-        yield from results
-
-
-def find_timed(
-    find: Callable[[float], list[AttractorAt]], values: Sequence[float]
-) -> tuple[list[tuple[float, list[AttractorAt]]], float]:
-    """Return each value with its attractors, and the time that all took, s."""
-    started = time.perf_counter()
-    return [(value, find(value)) for value in values], time.perf_counter() - started
 
 
 def merge_close_points(points: list[float], tolerance: float) -> tuple[float, ...]:

@@ -1,6 +1,6 @@
 """A figure of the atlas as values: what is drawn, and the table beside it.  Nothing here draws."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -92,11 +92,3 @@ class Drawing:
     columns: int
     choices: str  # parameters that the thesis does not state
     file: Path = Path()  # its picture, where it has been drawn
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A figure of the thesis, and the function that recomputes it."""
-
-    number: str
-    draw: Callable[[], Drawing]

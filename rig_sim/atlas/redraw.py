@@ -61,7 +61,7 @@ def redraw(
     folder.mkdir(exist_ok=True)
     redrawn: list[Drawing] = []
     for number, file in files.items():
-        drawing = replace(ENTRIES[number].draw(), file=file)
+        drawing = replace(ENTRIES[number](), file=file)
         with atomic.replacing(file, force) as temporary:
             temporary.write_bytes(render_picture(drawing))
         redrawn.append(drawing)

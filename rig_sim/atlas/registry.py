@@ -10,21 +10,16 @@ from rig_sim.atlas.chapters import (
     chapter6,
     chapter6_control,
 )
-from rig_sim.atlas.figure import Entry
 
-ENTRIES: dict[str, Entry] = {
-    entry.number: entry
-    for chapter in (
-        chapter2,
-        chapter3,
-        chapter4_motion,
-        chapter4_map,
-        chapter5,
-        chapter5_branches,
-        chapter6,
-        chapter6_control,
-    )
-    for entry in chapter.FIGURES
+ENTRIES = {
+    **chapter2.FIGURES,
+    **chapter3.FIGURES,
+    **chapter4_motion.FIGURES,
+    **chapter4_map.FIGURES,
+    **chapter5.FIGURES,
+    **chapter5_branches.FIGURES,
+    **chapter6.FIGURES,
+    **chapter6_control.FIGURES,
 }
 CAMERA = (
     "the text contradicts itself: the displacement rises by 340 mm in a stick whose velocities, 140 to 160 mm/s for "

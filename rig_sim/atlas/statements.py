@@ -29,7 +29,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from rig_sim.atlas.figure import Computed, Drawing, Entry, StatementCheck
+from rig_sim.atlas.figure import Computed, Drawing, StatementCheck
 from stickslip import toml
 from stickslip.errors import InputError, nearest
 
@@ -39,14 +39,9 @@ LINE_BREAK = re.compile(r"\s*\n\s*")
 MULTIPLE_OF_PI = re.compile(r"(\d*) ?pi(?:/(\d+))?")
 
 
-def read_entries(file: str, figures: Mapping[str, Callable[[], Computed]]) -> tuple[Entry, ...]:
-    """Return figures of a chapter, each with the function that computes it and its words in the chapter's file."""
-    tables = read_tables(file)
-    words = tables.get(WORDS, {})
-    return tuple(
-        Entry(number, partial(compute_drawing, f"figure {number} in {file}", tables[number], words, compute, number))
-        for number, compute in figures.items()
-    )
+def read_entries(file: str, figures: Mapping[str, Callable[[], Computed]]) -> dict[str, Callable[[], Drawing]]:
+    """Return for each figure of a chapter a function that computes it and adds its words in the chapter's file."""
+    return {number: partial(compute_drawing, file, number, compute) for number, compute in figures.items()}
 
 
 @cache
@@ -68,11 +63,10 @@ def join_lines(value: Any) -> Any:
     return LINE_BREAK.sub(" ", value) if isinstance(value, str) else value
 
 
-def compute_drawing(
-    where: str, figure: Mapping[str, Any], words: Mapping[str, str], compute: Callable[[], Computed], number: str = ""
-) -> Drawing:
-    computed = compute()
-    numbers = {**words, **computed.numbers}
+def compute_drawing(file: str, number: str, compute: Callable[[], Computed]) -> Drawing:
+    tables = read_tables(file)
+    figure, where, computed = tables[number], f"figure {number} in {file}", compute()
+    numbers = {**tables.get(WORDS, {}), **computed.numbers}
     try:
         sentence, choices = (format_text(figure.get(key, ""), numbers) for key in ("shows", "choices"))
         table = tuple(check_row(row, numbers) for row in figure.get("says", ()))

@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
+from rig_sim.board.belt_encoder import BeltEncoder
+from rig_sim.board.disturbances import JitteringClock, LosingCog, SilentStretches
 from rig_sim.board.encoder import QuadratureEncoder
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.motion.trajectory import Trajectory
@@ -61,25 +63,11 @@ class SimulatedBoard:
         self._section: Encoder = scene.encoder
         self._motion = ScenePlayer(scene)
         self._encoder = QuadratureEncoder(scene.encoder, scene.start.x)
-        self._cog = self._silence = None
-        if scene.slip_loss is not None:
-            from rig_sim.board.slip_loss import LosingCog
-
-            self._cog = LosingCog(scene.slip_loss, scene.seed, scene.encoder.metres_per_count)
-        if scene.gaps is not None:
-            from rig_sim.board.gaps import SilentStretches
-
-            self._silence = SilentStretches(scene.gaps, scene.seed)
-        self._belt = None
-        if scene.belt is not None and scene.belt.channel:
-            from rig_sim.board.belt_encoder import BeltEncoder
-
-            self._belt = BeltEncoder(scene)
-        self._jitter = None
-        if scene.jitter is not None:
-            from rig_sim.board.jitter import JitteringClock
-
-            self._jitter = JitteringClock(scene.jitter, scene.seed)
+        loss, gaps, jitter, seed = scene.slip_loss, scene.gaps, scene.jitter, scene.seed
+        self._cog = None if loss is None else LosingCog(loss, seed, scene.encoder.metres_per_count)
+        self._silence = None if gaps is None else SilentStretches(gaps, seed)
+        self._jitter = None if jitter is None else JitteringClock(jitter, seed)
+        self._belt = BeltEncoder(scene) if scene.belt is not None and scene.belt.channel else None
         self._sample = 0  # samples since S
         self._started = 0.0  # time of the sample 0 of this S
         self._queued = 0  # samples up to and with the last one that waits for its frame

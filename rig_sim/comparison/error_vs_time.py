@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 from rig_sim.comparison import reference
@@ -102,7 +101,7 @@ def compare(
     cycles = 0
     peers = {} if expected else {method: find_tightest(lists, method, until) for method in dict.fromkeys(methods)}
     if not expected:
-        description += describe_peers(peers) + describe_doubts(lists, until)
+        description += describe_peers(peers)
     for method, setting, events, cpu_s in measured:
         expected_events = expected or pair_events(lists[peers[method]])
         cycles = sum(kind[:2] == "S>" for _, kind in expected_events)
@@ -170,14 +169,16 @@ BY_TIGHTNESS = ("exact", "dop853", "lsoda", "radau", "rk4-henon")
 
 
 def find_tightest(lists: Lists, method: str, until: float) -> tuple[str, str]:
-    """Return the tightest method that is not ``method``, with its setting, of those that most other lists agree with.
+    """Return the tightest method that is not ``method``, with its setting, of those with the events of the tightest.
 
-    A list with different events from all the rest is not a reference, however tight: a solver may find a landing twice.
+    A list with other events is no reference, however tight: a solver may find a landing twice.
     """
-    others = [key for key in sort_by_tightness(lists) if key[0] != method]
+    keys = sort_by_tightness(lists)
+    others = [key for key in keys if key[0] != method]
     if not others:
         raise InputError("nothing to compare with", "methods", "name two methods")
-    return max(others, key=lambda key: len(find_agreeing(lists, key, until)))  # of equals the first
+    expected = pair_events(lists[keys[0]])
+    return next((key for key in others if difference(lists[key], expected, until)[0] is not None), others[0])
 
 
 def describe_peers(peers: dict[str, tuple[str, str]]) -> str:
@@ -189,39 +190,8 @@ def describe_peers(peers: dict[str, tuple[str, str]]) -> str:
     return f"; compared: {'; '.join(words)}"
 
 
-def describe_doubts(lists: Lists, until: float) -> str:
-    """Return as text which lists are not a reference and why: fewer agree with them than with another one."""
-    agreeing = {key: len(find_agreeing(lists, key, until)) for key in sort_by_tightness(lists)}
-    best = max(agreeing, key=lambda key: agreeing[key])
-    words = []
-    for (method, setting), number in agreeing.items():
-        note = difference(lists[method, setting], pair_events(lists[best]), until)[1]
-        if note and number < agreeing[best]:
-            reason = f"{note}, which {number} of {len(lists) - 1} others have" + describe_simultaneous(
-                lists[method, setting]
-            )
-            words.append(f"; {method} {setting} is not a reference: {reason}")
-    return "".join(words)
-
-
-def describe_simultaneous(events: EventList) -> str:
-    """Return as text the first two events of a list at one time, such as a landing found again at a break-away."""
-    for (t, kind), (later, other) in pairwise(pair_events(events)):
-        if t == later:
-            return f" ({kind} and {other} at the same time)"
-    return ""
-
-
 def sort_by_tightness(lists: Lists) -> list[tuple[str, str]]:
     return [key for name in BY_TIGHTNESS for key in reversed(lists) if key[0] == name]
-
-
-def find_agreeing(lists: Lists, key: tuple[str, str], until: float) -> list[tuple[str, str]]:
-    """Return the other methods and settings whose lists have the same events."""
-    expected = pair_events(lists[key])
-    return [
-        other for other, events in lists.items() if other != key and difference(events, expected, until)[0] is not None
-    ]
 
 
 def pair_events(events: EventList) -> list[tuple[Any, str]]:

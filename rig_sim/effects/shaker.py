@@ -1,7 +1,7 @@
 """Shaker: a force on the mass made of its own velocity, amplified by ``a`` and shifted in phase by ``phi``.
 
 The thesis writes a phasor, which gives a small oscillation e^{-i Omega t} about the fixed point x_e its frequency omega
-and its growth rate delta: `rig_sim.analyses.control.phasor`.  a in N s/m, phi in rad; the force leads the velocity by
+and its growth rate delta: `rig_sim.analyses.control.shaker`.  a in N s/m, phi in rad; the force leads the velocity by
 phi, and phi = pi is a damper of a.  gamma_lin = dF/dw at w = -v_belt: how friction rises as the mass speeds up, > 0 on
 a falling curve, -Fs/d inside a ramp.
 
@@ -31,7 +31,7 @@ the shaker's own mass.
 
 import math
 
-from rig_sim.analyses.control.phasor import phasor
+from rig_sim.analyses.control.shaker import phasor
 from rig_sim.analyses.limit_cycles.fixed_point import friction_at_rest
 from rig_sim.flow.flow import Flow
 

@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rig_sim.analyses import special_points
-from rig_sim.analyses.limit_cycles.branches import continuation
-from rig_sim.analyses.limit_cycles.point_draws import MovingPoint, PointInterval, estimate_interval
+from rig_sim.analyses.limit_cycles.branches import MovingPoint, PointInterval, continuation, estimate_interval
 from rig_sim.analyses.map_branches import map_continuation
 from rig_sim.analyses.special_points import SpecialPoint
 from rig_sim.results.arguments import ParameterRange, SceneLike, load_scene, parse_range, parse_whole

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from rig_sim.analyses.control import ogy
+from rig_sim.analyses.control import locking as ogy
 from rig_sim.analyses.control.locking import ADVICE, Locking, find_and_lock
 from rig_sim.analyses.control.search_and_lock import search_and_lock
 from rig_sim.analyses.unstable_orbits import UnstableOrbit

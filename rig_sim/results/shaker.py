@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rig_sim.analyses.control.phasor import phasor_roots
-from rig_sim.analyses.control.stability import ShakerPlane
+from rig_sim.analyses.control.shaker import ShakerPlane, phasor_roots
 from rig_sim.results.arguments import check_size, parse_number
 from rig_sim.results.result import PALE, STABLE, UNSTABLE, Result
 from stickslip.compute.arrays import Array

@@ -2,7 +2,7 @@
 
 The stable orbit is the one that `rig_sim.analyses.limit_cycles.limit_cycle` reaches from the slip point.  Where a
 stable fixed point lies inside it, an unstable orbit separates the two: on the map from one minimum of the position to
-the next (`rig_sim.systems.minimum`) it is the fixed point between theirs, found as a bracketed root.  An
+the next (`rig_sim.systems.turn`) it is the fixed point between theirs, found as a bracketed root.  An
 orbit in the plane has two multipliers: 1 along the orbit, and that of the map across it.
 """
 
@@ -16,8 +16,7 @@ from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, displacement, frame, mirror_mode, position
 from rig_sim.integrate.work import new_work
-from rig_sim.systems.minimum import MinimumTurn, next_minimum
-from rig_sim.systems.turn import STEPS_OF_SEARCH
+from rig_sim.systems.turn import STEPS_OF_SEARCH, MinimumTurn, next_minimum
 
 STABLE_TO = (
     1e-9  # share of the distance between the fixed point and the stable orbit: margin of the search at both ends

@@ -5,11 +5,9 @@ from functools import cache, partial
 
 import numpy as np
 
-from rig_sim.analyses.control.locking import Locking, find_and_lock
-from rig_sim.analyses.control.ogy import Lock
-from rig_sim.analyses.control.phasor import phasor
+from rig_sim.analyses.control.locking import Lock, Locking, find_and_lock
 from rig_sim.analyses.control.search_and_lock import SearchAndLock, search_and_lock
-from rig_sim.analyses.control.stability import ShakerCurve, ShakerPlane
+from rig_sim.analyses.control.shaker import ShakerCurve, ShakerPlane, phasor
 from rig_sim.atlas.chapters.axes import T, V, X
 from rig_sim.atlas.chapters.chapter6 import U0, flow_at
 from rig_sim.atlas.figure import Computed, Panel, Trace

@@ -10,7 +10,7 @@ import pytest
 from daq.wire.frames import TruthFrame
 from daq.wire.quadrature import PHASE
 from rig_sim.board.board import SimulatedBoard
-from rig_sim.board.gaps import SilentStretches
+from rig_sim.board.disturbances import SilentStretches
 from rig_sim.motion.file import write
 from rig_sim.motion.play import events
 from rig_sim.motion.trajectory import Nodes
@@ -46,7 +46,7 @@ def test_lost_counts_are_missing_for_good_and_against_the_motion() -> None:
 
 
 def test_a_loss_follows_the_cubic_over_its_samples() -> None:
-    from rig_sim.board.slip_loss import LosingCog
+    from rig_sim.board.disturbances import LosingCog
 
     cog = LosingCog(SlipLoss(rate=1000.0, counts=100, samples=10), 0, DELTA)
     t = np.arange(41) / 1000

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.analyses.control.phasor import phasor
+from rig_sim.analyses.control.shaker import phasor
 from rig_sim.analyses.limit_cycles.fixed_point import friction_at_rest
 from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.effects.shaker import add_shaker

@@ -9,8 +9,6 @@ from functools import cache
 import pytest
 
 from rig_sim.analyses import section
-from rig_sim.analyses import sweep as sweeps
-from rig_sim.analyses.sweep import AttractorAt
 from rig_sim.cli import app as cli
 from rig_sim.scenes.scene import BUILTIN_FOLDER
 from stickslip.console import application
@@ -21,35 +19,6 @@ FEW = "sweep two-mass --over belt.speed=0.14:0.175:4 --section map"
 TWO_MASSES = "sweep two-mass --over belt.speed=0.09:0.12:12"
 DRIVEN = "sweep forced --over drive.u0=0:0.4:8 --section slip"
 whole = cache(answer)  # the document of an undisturbed sweep
-
-
-def attractor(value):
-    return [AttractorAt(value, 1, (value,), 1, 1.0, (value, value))]
-
-
-@pytest.mark.parametrize("costs", [[0.001] * 400, [1e-6] * 2 + [0.05] * 40, [2.0] * 5, [5.0] + [0.03] * 60])
-def test_tasks_take_a_tenth_of_a_second(monkeypatch, costs):
-    """Used to be eight values each: 8 ms of a motion that settles at once, 40 s of one that never sticks."""
-    clock = [0.0]
-    monkeypatch.setattr(sweeps.time, "perf_counter", lambda: clock[0])
-
-    def find(value):
-        clock[0] += costs[int(value)]
-        return attractor(value)
-
-    tasks = []
-
-    def spread(function, items):
-        for item in items:
-            tasks.append([costs[int(value)] for value in item])
-            yield function(item)
-
-    values = [float(index) for index in range(len(costs))]
-    assert [row.value for row in sweeps.sweep(find, values, spread=spread)] == values
-    for task in tasks:
-        assert sum(task[:-1]) <= 2 * sweeps.TASK_S
-    late = [task for number, task in enumerate(tasks) if number >= 8][:-1]  # 1, 2, 4 ... 128 values
-    assert all(sum(task) >= 0.1 for task in late)
 
 
 def test_an_interrupted_sweep_is_continued(capsys, tmp_path, monkeypatch):

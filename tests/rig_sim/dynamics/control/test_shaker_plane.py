@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.analyses.control.phasor import phasor, phasor_roots, shaker_for
-from rig_sim.analyses.control.stability import ShakerPlane
+from rig_sim.analyses.control.shaker import ShakerPlane, phasor, phasor_roots, shaker_for
 
 from ...shared import CHAPTERS
 

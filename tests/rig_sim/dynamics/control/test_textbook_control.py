@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.analyses.control.locking import Locking, find_and_lock
-from rig_sim.analyses.control.ogy import lock
+from rig_sim.analyses.control.locking import Locking, find_and_lock, lock
 from rig_sim.analyses.control.search_and_lock import search_and_lock
 from rig_sim.analyses.unstable_orbits import UnstableOrbit, find_orbits_in_motion, orbit_multipliers
 from rig_sim.systems.formula import FormulaMap

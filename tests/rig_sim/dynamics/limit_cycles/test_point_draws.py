@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig_sim.analyses.limit_cycles.point_draws import estimate_interval
+from rig_sim.analyses.limit_cycles.branches import estimate_interval
 
 
 @pytest.mark.parametrize("draws", [10, 40, 200])

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig_sim.analyses.control.ogy import lock
+from rig_sim.analyses.control.locking import lock
 from rig_sim.analyses.control.search_and_lock import search_and_lock
 from rig_sim.analyses.unstable_orbits import find_orbits_in_motion
 from rig_sim.results import lock as control

@@ -1,1 +1,0 @@
-"""The velocity methods behind one signature, and the choice of their window."""
