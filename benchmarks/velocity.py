@@ -33,10 +33,9 @@ import rig_sim
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from processing import smoothing, stage
+from processing import methods, smoothing, stage
+from processing import methods as windows
 from processing.kalman import white_jerk
-from processing.methods import registry
-from processing.methods import savgol as windows
 from processing.polynomial import savgol
 from processing.polynomial.even import coefficients
 from processing.record import series
@@ -132,7 +131,7 @@ def ours(bench: Bench) -> dict[str, tuple[float, float, float]]:
     asked += [(name, "recorded", Setting()) for name in ("rts", "segment", "auto")] + [("auto", "nominal", Setting())]
     for method, times, setting in asked:
         data = bench.series(times)
-        cpu, motion = timed(lambda m=method, d=data, s=setting: registry.estimate(m, d, s))
+        cpu, motion = timed(lambda m=method, d=data, s=setting: methods.estimate(m, d, s))
         window = f" {setting.window},{setting.order}" if setting.window else " auto" if method == "sg" else ""
         found[f"{method}{window}, {times}"] = (1e3 * cpu, *bench.errors(motion.velocity))
     return found
@@ -202,7 +201,7 @@ def peers(bench: Bench) -> tuple[dict[str, tuple[float, float, float]], list[str
 
 def claims(bench: Bench) -> dict[str, float]:
     """Return further results of auto: coverage, switching times, sticks."""
-    motion = registry.estimate("auto", bench.series(), Setting())
+    motion = methods.estimate("auto", bench.series(), Setting())
     inside = np.abs(motion.velocity - bench.v) <= 2 * motion.velocity_errors
     error = 1e3 * (motion.velocity - bench.v)
     return {
@@ -239,8 +238,8 @@ def scenes(seed: int) -> dict[str, tuple[str, float, float]]:
 
 
 def _against_rts(bench: Bench, data: series.Series) -> tuple[str, float, float]:
-    motion = registry.estimate("auto", data, Setting())
-    rms = bench.errors(registry.estimate("rts", data, Setting()).velocity)[0]
+    motion = methods.estimate("auto", data, Setting())
+    rms = bench.errors(methods.estimate("rts", data, Setting()).velocity)[0]
     return motion.method, rms, bench.errors(motion.velocity)[0] / rms
 
 
@@ -251,7 +250,7 @@ def chosen_windows(seed: int) -> dict[str, float]:
         for jitter in (0.0, 30e-6):
             bench = Bench(seed, pitch, jitter, 30.0)
             data = bench.series()
-            choice = windows.choose(data)
+            choice = windows.choose_window(data)
             ladder = sorted({max(int(choice.window * factor) | 1, 7) for factor in np.geomspace(0.5, 1.7, 11)})
             tried = [Setting(w, o) for o in (2, 4, 6) for w in ladder if w > o]
             errors = [bench.errors(savgol.fit(data.time, data.position, s.window, s.order)[0][1])[0] for s in tried]
@@ -276,9 +275,9 @@ def speed(bench: Bench) -> dict[str, float]:
     reach, motion = white_jerk.samples_to_fade(noise.rho(data.interval)), np.empty((6, data.time.size))
     asked = data.time, data.position, noise, white_jerk.BLOCK, reach, motion
     found["rts, noise known"] = data.time.size / timed(lambda: white_jerk.smooth_piece(*asked), 20)[0] / 1e6
-    found["rts, ms in all"] = 1e3 * timed(lambda: registry.estimate("rts", data, Setting()), 10)[0]
-    found["segment, ms in all"] = 1e3 * timed(lambda: registry.estimate("segment", data, Setting()), 10)[0]
-    found["auto, ms in all"] = 1e3 * timed(lambda: registry.estimate("auto", data, Setting()), 10)[0]
+    found["rts, ms in all"] = 1e3 * timed(lambda: methods.estimate("rts", data, Setting()), 10)[0]
+    found["segment, ms in all"] = 1e3 * timed(lambda: methods.estimate("segment", data, Setting()), 10)[0]
+    found["auto, ms in all"] = 1e3 * timed(lambda: methods.estimate("auto", data, Setting()), 10)[0]
     return found
 
 
@@ -387,13 +386,13 @@ def picture(bench: Bench, table: dict[str, tuple[float, float, float]], target: 
         ("sg", Setting(41, 4), {"color": "C1"}),
         ("auto", Setting(), {"color": "C0", "lw": 2}),
     ):
-        motion = registry.estimate(method, data, setting)
+        motion = methods.estimate(method, data, setting)
         left.plot(at, 1e3 * motion.velocity[own], label=method, **style)
     left.plot(at, 1e3 * bench.v[own], "k:", lw=1, label="truth")
     left.set(xlabel="time from the landing, ms", ylabel="velocity, mm/s", ylim=(120, 240), title="a landing")
     left.legend()
     for k, (name, (cpu, rms, _)) in enumerate(sorted(table.items(), key=lambda item: -item[1][1])):
-        mine = name.split()[0].rstrip(",") in registry.METHODS
+        mine = name.split()[0].rstrip(",") in methods.METHODS
         right.loglog(cpu, rms, "osD^v<>pP*Xhd8H"[k % 15], color=f"C{k % 10}", ms=9 if mine else 5, label=name)
     figure.legend(*right.get_legend_handles_labels(), loc="outside right center", fontsize=7)
     right.set(
@@ -410,7 +409,7 @@ def method_rows(table: dict[str, list[float]]) -> dict[str, list[str]]:
     found = {}
     for name, (cpu, rms, worst) in table.items():
         method, _, rest = name.removesuffix(", recorded").partition(" ")
-        own = method.rstrip(",") in registry.METHODS
+        own = method.rstrip(",") in methods.METHODS
         named = f"`{method.rstrip(',')}`{',' * method.endswith(',')} {rest}".strip() if own else f"{method} {rest}"
         found[named] = [pages.significant(cpu / auto), pages.significant(rms), pages.significant(worst)]
     return found

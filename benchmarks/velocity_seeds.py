@@ -15,7 +15,7 @@ import pages
 from velocity import CASES, Bench, chosen_windows, scenes
 
 import processing
-from processing.methods import registry
+from processing import methods
 from processing.record.setting import Setting
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -43,7 +43,7 @@ def errors(seed: int) -> tuple[Row, Limits]:
                 continue
             name = case if times == "recorded" else f"{case}, nominal"
             data = bench.series(times)
-            motion = registry.estimate("auto", data, Setting())
+            motion = methods.estimate("auto", data, Setting())
             row[f"{name}: rms"], row[f"{name}: largest"] = bench.errors(motion.velocity)
             limits[f"{name}: rms"] = (0.0, RMS[case] if times == "recorded" else 0.30)
             limits[f"{name}: largest"] = (0.0, LARGEST[case] if times == "recorded" else 3.2)
@@ -63,7 +63,7 @@ def errors(seed: int) -> tuple[Row, Limits]:
             limits[f"{name}: rms in sticks"] = (0.0, 0.02)
             own = row[f"{name}: rms"]
             for method, setting, factor in (("fd", Setting(), 45.0), ("sg", Setting(41, 4), 7.0)):
-                rough = registry.estimate(method, data, setting)
+                rough = methods.estimate(method, data, setting)
                 row[f"{name}: {method} over auto"] = bench.errors(rough.velocity)[0] / own
                 limits[f"{name}: {method} over auto"] = (factor, np.inf)
             landings = [corner for corner in motion.corners if corner.what == "land"]
@@ -155,7 +155,7 @@ def kicked(seed: int) -> tuple[Row, Limits]:
         true = [np.abs(bench.kicks - at).min() < 4e-3 for at in seen] if bench.kicks.size else []
         row[f"{1e3 * kick:g} mm/s: recall"] = float(np.mean(hit))
         row[f"{1e3 * kick:g} mm/s: false"] = float(len(true) - np.sum(true))
-        auto, rts = (registry.estimate(name, data, Setting()) for name in ("auto", "rts"))
+        auto, rts = (methods.estimate(name, data, Setting()) for name in ("auto", "rts"))
         row[f"{1e3 * kick:g} mm/s: auto over rts"] = bench.errors(auto.velocity)[0] / bench.errors(rts.velocity)[0]
         limits[f"{1e3 * kick:g} mm/s: auto over rts"] = (0.0, 1.03)
     return row, limits

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from processing import methods
 from processing.kalman import white_jerk
-from processing.methods import registry
-from processing.methods.registry import MethodModel
+from processing.methods import MethodModel
 from processing.record.motion import BeltMotion, Motion
 from processing.record.noise import position_noise
 from processing.record.series import Series, Units
@@ -74,9 +74,9 @@ def smooth_belt(record: BeltRecord, noise: BeltNoise, motion: Motion, model: Met
     relative_model = model
     if model.method != "fd":
         relative_model = MethodModel(method="sg", noise=0.0, jerk=model.jerk, window=motion.window, order=order)
-    relative = registry.apply(record.relative, replace(relative_model, noise=noise.relative))
-    if model.method not in registry.SMOOTHERS:
-        belt = registry.apply(record.belt, replace(relative_model, noise=noise.belt))
+    relative = methods.apply(record.relative, replace(relative_model, noise=noise.relative))
+    if model.method not in methods.SMOOTHERS:
+        belt = methods.apply(record.belt, replace(relative_model, noise=noise.belt))
     else:
         finer = (record.belt.pitch / pitch) ** 2 if pitch else 1.0
         belt = white_jerk.smooth(record.belt, white_jerk.Noise(model.jerk.jerk, model.jerk.reading * finer))

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from processing import methods
 from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
 from processing.defects import faults, frames
 from processing.defects.faults import CheckedRecord
 from processing.defects.frames import belt_findings, drift_finding, sensor_findings, step_findings
 from processing.kalman import white_jerk
-from processing.methods import registry
-from processing.methods.registry import MethodModel
+from processing.methods import MethodModel
 from processing.model_values import values_in_si
 from processing.record.motion import (
     DERIVATIVES,
@@ -128,7 +128,7 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
     clean_series = replace(checked.series, moving=_motion_span(data.time, stretches.number, moving))
     checked = replace(checked, series=clean_series)
     kept_series = clean_series.select(checked.kept) if checked.faults else clean_series
-    method_model = registry.learn(method, clean_series, setting, fault_model.noise)
+    method_model = methods.learn(method, clean_series, setting, fault_model.noise)
     belt = BeltRecord.of(recording, checked.kept, kept_series, units)
     noise = None if belt is None else learn_noise(belt)
     whole_record = checked if clean_series.time.size == record.n else None
@@ -137,7 +137,7 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
         model = replace(model, method=replace(method_model, first_pass=None))
     if method_model.sticks is not None:
         return replace(model, belt_speed=method_model.sticks.speed)
-    motion = registry.apply(kept_series, method_model)
+    motion = methods.apply(kept_series, method_model)
     belt_motion = _smooth_belt(belt, model, motion, kept_series)
     rule, speed = plateaus.learn(kept_series, motion, method_model.stated, belt_motion)
     return replace(model, rule=rule, belt_speed=speed)
@@ -167,7 +167,7 @@ def apply(
     else:
         checked = faults.find(data, recording.segment, model.faults, first_number)
     clean_series = checked.series
-    motion = registry.apply(clean_series, model.method)
+    motion = methods.apply(clean_series, model.method)
     belt = _smooth_belt(
         BeltRecord.of(recording, np.ones(clean_series.time.size, bool), clean_series, units),
         model,

@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.runfile.recording import Recording
 from daq.runfile.run_data import Truth
-from processing.methods import registry
+from processing import methods
 from processing.record import series
 from processing.record.motion import Motion
 from processing.record.series import Series
@@ -42,7 +42,7 @@ def compare_methods(
     """Run every method on nominal and on recorded times; ``progress`` is called with the percentage done."""
     for times in series.TIMES:
         for method in ("sg", "segment"):  # compile their kernels before timing; an even grid needs other ones
-            registry.estimate(method, series.from_recording(recording, times), Setting())
+            methods.estimate(method, series.from_recording(recording, times), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
     errors: list[MethodError] = []
     for times in reversed(series.TIMES):
@@ -60,7 +60,7 @@ def compare_methods(
 
 def _measure_method(method: str, setting: str, data: Series, choice: Setting, true: Array | None) -> MethodError:
     started = clock.process_time()
-    motion = registry.estimate(method, data, choice)
+    motion = methods.estimate(method, data, choice)
     cpu = clock.process_time() - started
     if setting.startswith("auto"):
         setting = f"auto = {motion.window},{motion.order}{setting[4:]}"

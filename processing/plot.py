@@ -30,7 +30,7 @@ def draw_inspection(kinematics: Kinematics) -> Figure:
         parts = picture.add_gridspec(2 if enough_slips else 1, 1, height_ratios=(5.6, 3.2) if enough_slips else None)
         if enough_slips:
             _draw_break_aways(picture, parts[1].subgridspec(1, 3, wspace=0.06), statistics, kinematics.unit)
-        draw_motion(picture, parts[0], kinematics.drawing())
+        draw_motion(picture, parts[0], kinematics)
     return picture
 
 

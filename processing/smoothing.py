@@ -18,9 +18,8 @@ import numpy as np
 
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
-from processing import belt_motion, blocks, stage
+from processing import belt_motion, blocks, methods, stage
 from processing.blocks import BlockFindings, BlockMotion, MotionModel, Stretches
-from processing.methods import registry
 from processing.model_values import restore
 from processing.record import series
 from processing.record.kinematics import Kinematics, SmoothingSummary
@@ -164,7 +163,7 @@ def _apply_in_blocks(run: _Samples, length: int, margin: int, model: MotionModel
 
 
 def _check_options(method: str, repair_counts: str) -> None:
-    registry.check_method(method)
+    methods.check_method(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
 
@@ -175,7 +174,7 @@ def _learn_model(
     """Return the model of a record, and the recording of the stretches that it was learned from."""
     record = survey(run.positions, run.number)
     requested_setting = Setting(None if window == "auto" else 0, order)
-    for least in registry.sample_counts(method, requested_setting):
+    for least in methods.sample_counts(method, requested_setting):
         picked_stretches = record.stretches(least)
         recording, data, number = _join_parts([run.read(stretch) for stretch in picked_stretches], picked_stretches)
         units = record.units(data.interval, float(data.time[0]))

@@ -18,7 +18,6 @@ from processing.record.motion import Corner, Fault, Finding, Phase, VelocityStep
 from processing.record.series import PositionStep, step_offsets
 from stickslip.compute.arrays import Array, Mask
 from stickslip.output.lengths import format_length, shown_speed
-from stickslip.text import printable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from daq.runfile.recording import Recording
-    from processing.record.plot import DrawnMotion
 
 
 DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
@@ -246,27 +244,7 @@ class Kinematics(SmoothingSummary):
         """
         from processing.record.plot import draw_figure
 
-        return draw_figure(self.drawing(), ax)
-
-    def drawing(self) -> "DrawnMotion":
-        """Return what `plot` shows."""
-        from processing.record.plot import DrawnMotion
-
-        window = "finite differences"
-        if self.method != "fd":
-            window = f"{self.method}, window {self.window}, order {self.order}"
-        return DrawnMotion(
-            printable(f"{self.recording.name}: {self.recording.title}   ({window}, {self.times} times)"),
-            self.time,
-            self.position,
-            self.velocity,
-            self.recording.segment,
-            self.unit,
-            self.sticks,
-            len(self.cycles),
-            self.belt_speed,
-            self.recording.markers,
-        )
+        return draw_figure(self, ax)
 
     def facts(self) -> dict[str, str]:
         """Return the summary of `__repr__` as text by name."""

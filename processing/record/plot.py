@@ -1,21 +1,21 @@
 """The picture of a motion: position and velocity against time, and the phase portrait."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 
-from processing.record.motion import Phase
-from stickslip.compute.arrays import Array, pieces
+from stickslip.compute.arrays import pieces
 from stickslip.output.lengths import shown_length, shown_speed
 from stickslip.output.plot import STYLE, draw_markers, figure
+from stickslip.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
+
+    from processing.record.kinematics import Kinematics
 
 
 CYCLES = 12  # drawn against time; the portrait shows them all
@@ -23,21 +23,7 @@ CYCLES = 12  # drawn against time; the portrait shows them all
 SHADE, MOTION, STICK, BELT = "#f3e6c8", "#0072B2", "#E69F00", "#D55E00"
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnMotion:
-    caption: str
-    time: Array  # s
-    position: Array  # in ``unit``
-    velocity: Array  # in ``unit``/s
-    segment: NDArray[np.uint16] | NDArray[np.uint32]  # number of each sample's segment
-    unit: str  # "m" or "count"
-    sticks: tuple[Phase, ...]
-    cycles: int  # complete cycles
-    belt_speed: float  # in ``unit``/s; NaN when unknown
-    markers: tuple[tuple[float, str], ...] = ()  # time, s, and text
-
-
-def draw_figure(motion: DrawnMotion, axes: "Axes | None" = None) -> "Figure":
+def draw_figure(motion: "Kinematics", axes: "Axes | None" = None) -> "Figure":
     """Draw the motion in a new figure, or only its phase portrait into ``axes``, and return the figure."""
     with mpl.rc_context(fname=STYLE):
         if axes is not None:
@@ -48,29 +34,30 @@ def draw_figure(motion: DrawnMotion, axes: "Axes | None" = None) -> "Figure":
     return picture
 
 
-def draw_motion(picture: "Figure", cell: "SubplotSpec", motion: DrawnMotion) -> None:
+def draw_motion(picture: "Figure", cell: "SubplotSpec", motion: "Kinematics") -> None:
     """Draw position and velocity over the first `CYCLES` cycles, and the phase portrait of the whole record."""
     grid = cell.subgridspec(2, 2, width_ratios=(1.35, 1.0), hspace=0.04, wspace=0.05)
     position_axes = picture.add_subplot(grid[0, 0])
     velocity_axes = picture.add_subplot(grid[1, 0], sharex=position_axes)
     _draw_against_time(position_axes, velocity_axes, motion)
     _draw_portrait(picture.add_subplot(grid[:, 1]), motion)
-    picture.suptitle(motion.caption, parse_math=False, x=0.01, ha="left", fontsize=11.5)
+    caption = printable(f"{motion.recording.name}: {motion.recording.title}   ({motion.facts()['method']})")
+    picture.suptitle(caption, parse_math=False, x=0.01, ha="left", fontsize=11.5)
 
 
-def _end_of_cycles(motion: DrawnMotion) -> float:
+def _end_of_cycles(motion: "Kinematics") -> float:
     sticks = motion.sticks
     return sticks[CYCLES].start if len(sticks) > CYCLES else float(motion.time[-1])
 
 
-def _split_at_gaps(motion: DrawnMotion, samples: slice) -> tuple[slice, ...]:
+def _split_at_gaps(motion: "Kinematics", samples: slice) -> tuple[slice, ...]:
     """Return the stretches without a gap, since a line across one would show motion that was not measured."""
     time = motion.time[samples]
     interval = float(np.median(np.diff(time)))
-    return pieces(time, motion.segment[samples], interval)
+    return pieces(time, motion.recording.segment[samples], interval)
 
 
-def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: DrawnMotion) -> None:
+def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: "Kinematics") -> None:
     factor, unit = shown_length(motion.unit)
     until = _end_of_cycles(motion)
     samples = slice(0, int(np.searchsorted(motion.time, until, side="right")))
@@ -83,7 +70,7 @@ def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: Dra
         for k, part in enumerate(_split_at_gaps(motion, samples)):
             axes.plot(time[part], drawn[part], color=MOTION, lw=1.0, label="mass" if k == 0 else None)
         axes.margins(x=0.01)
-    draw_markers(position_axes, [marker for marker in motion.markers if marker[0] <= until])
+    draw_markers(position_axes, [marker for marker in motion.recording.markers if marker[0] <= until])
     if np.isfinite(motion.belt_speed):
         velocity_axes.axhline(motion.belt_speed, color=BELT, lw=1.0, ls=(0, (5, 3)), label="belt")
     shown_part = "" if samples.stop >= motion.time.size else f", first {time[-1] - time[0]:.3g} s of the run"
@@ -108,7 +95,7 @@ def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: Dra
         )
 
 
-def _draw_portrait(axes: "Axes", motion: DrawnMotion) -> None:
+def _draw_portrait(axes: "Axes", motion: "Kinematics") -> None:
     (factor, unit), per_second = shown_length(motion.unit), shown_speed(motion.unit)
     x, v = factor * motion.position, motion.velocity
     for piece in _split_at_gaps(motion, slice(0, x.size)):
@@ -120,7 +107,7 @@ def _draw_portrait(axes: "Axes", motion: DrawnMotion) -> None:
     if np.isfinite(motion.belt_speed):
         speed = motion.belt_speed
         axes.axhline(speed, color=BELT, lw=1.0, ls=(0, (5, 3)), zorder=1, label=f"belt {speed:.4g} {per_second}")
-    cycles = motion.cycles
+    cycles = len(motion.cycles)
     counted = f", {cycles} complete cycle{'s' if cycles != 1 else ''}" if cycles else ""
     axes.locator_params(axis="x", nbins=7)  # counts of five digits touched each other
     axes.set_title(f"phase portrait{counted}")

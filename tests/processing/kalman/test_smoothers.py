@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import processing
+from processing import methods
 from processing.kalman import corner_kernel, mean_snap_kernel, motion_kernel, stick_slip, white_jerk
 from processing.kalman.white_jerk import first_state
-from processing.methods import registry
 from processing.record import series
 from processing.record.setting import Setting
 from processing.stick_slip import noise as landing_snap
@@ -35,7 +35,7 @@ CLAIMED = [
 @pytest.mark.parametrize(("pitch", "jitter", "times", "rms", "largest"), CLAIMED)
 def test_sticks_and_slips_smoothed_apart_keep_the_flat_top(motion, recorded, pitch, jitter, times, rms, largest):
     true = motion(5, 60.0, jitter, seed=2)
-    found = registry.estimate("auto", series.from_recording(recorded(true, pitch), times), Setting())
+    found = methods.estimate("auto", series.from_recording(recorded(true, pitch), times), Setting())
     error = velocity_error(found, true.v)
     assert found.method == "segment"
     assert error[0] < rms
@@ -50,7 +50,7 @@ def test_a_mass_that_rests_and_is_then_dragged_slowly_is_no_straight_line(speed)
     count = np.floor(true / pitch)
     data = series.Series(time, pitch * count, 0.0, pitch, 1e-3, (slice(0, 2000),))
     for method in ("rts", "auto"):
-        found = registry.estimate(method, data, Setting())
+        found = methods.estimate(method, data, Setting())
         assert np.sqrt(np.mean((found.position - true + pitch / 2) ** 2)) < pitch
         assert found.velocity[:400] == pytest.approx(0.0, abs=0.05 * speed)
         assert found.velocity[600:1900] == pytest.approx(speed, rel=0.05)
@@ -77,7 +77,7 @@ def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
     for seed in (1, 2, 3):
         true = motion(5, 30.0, seed=seed)
         data = series.from_recording(recorded(true))
-        found = registry.estimate("auto", data, Setting())
+        found = methods.estimate("auto", data, Setting())
         error = found.velocity - true.v
         near = np.abs(true.time[:, None] - [start for start, _ in true.sticks[1:]]).min(axis=1) < 0.01
         assert 1e3 * np.sqrt(np.mean(error[near] ** 2)) < 0.4
@@ -85,7 +85,7 @@ def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
         inside = np.abs(error) <= 2 * found.velocity_errors
         covered.append(inside.mean())
         covered_near.append(inside[near].mean())
-        rough, sg = (registry.estimate(name, data, own) for name, own in (("fd", Setting()), ("sg", Setting(41, 4))))
+        rough, sg = (methods.estimate(name, data, own) for name, own in (("fd", Setting()), ("sg", Setting(41, 4))))
         assert velocity_error(rough, true.v)[0] > 45 * velocity_error(found, true.v)[0]
         assert velocity_error(sg, true.v)[0] > 7 * velocity_error(found, true.v)[0]
     assert 0.93 <= np.mean(covered) <= 0.97
@@ -153,7 +153,7 @@ def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, re
         true = replace(true, x=true.x + np.cumsum(own) * 1e-3, v=true.v + own)
     true = true.without((np.arange(true.time.size) - 700) % 2903 < make.get("gap", 0))
     data = series.from_recording(recorded(true))
-    plain, default = (registry.estimate(name, data, Setting()) for name in ("rts", "auto"))
+    plain, default = (methods.estimate(name, data, Setting()) for name in ("rts", "auto"))
     assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]
 
 
@@ -225,7 +225,7 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
     data = series.from_recording(imported(true.time, np.floor(true.x / 50e-6) * 50e-6))
     noise = white_jerk.fit(data)
     assert noise.reading == pytest.approx((50e-6) ** 2 / 12, rel=0.5)
-    found = registry.estimate(method, data, Setting())
+    found = methods.estimate(method, data, Setting())
     assert velocity_error(found, true.v)[0] < 1.0
 
 
@@ -233,7 +233,7 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
 @pytest.mark.parametrize("setting", [Setting(41, 4), Setting(None, 4)])
 def test_a_smoother_has_no_window(motion, recorded, method, setting):
     with pytest.raises(InputError, match=f"{method} has no window"):
-        registry.estimate(method, series.from_recording(recorded(motion(5, 3.0))), setting)
+        methods.estimate(method, series.from_recording(recorded(motion(5, 3.0))), setting)
 
 
 def test_a_window_that_is_asked_for_means_savitzky_golay(motion, recorded):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from processing.methods import registry
-from processing.methods.registry import METHODS
+from processing import methods
+from processing.methods import METHODS
 from processing.record import series
 from processing.record.motion import Motion
 from processing.record.setting import Setting
@@ -27,7 +27,7 @@ def time(request):
 
 
 def run(method, recording, setting=None):
-    return registry.estimate(method, series.from_recording(recording), setting or Setting())
+    return methods.estimate(method, series.from_recording(recording), setting or Setting())
 
 
 def test_shapes_are_kept_and_errors_are_positive(method, time, imported):
@@ -132,7 +132,7 @@ def test_an_offset_of_2_to_the_60_counts_changes_nothing(method, motion, recorde
 @pytest.mark.parametrize("name", ["spline", None])
 def test_an_unknown_method_names_the_known_ones(name):
     with pytest.raises(InputError, match=f"method is {name!r}; known: auto, segment, rts, sg, fd"):
-        registry.check_method(name)
+        methods.check_method(name)
 
 
 def test_finite_differences_have_no_window(imported):

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from processing.methods import registry, savgol
+from processing import methods
 from processing.record import series
 from processing.record.setting import Setting, parse_window
 from stickslip.errors import InputError
 
 
 def rms(data, true, setting):
-    found = registry.estimate("sg", data, setting)
+    found = methods.estimate("sg", data, setting)
     return float(np.sqrt(np.mean((found.velocity - true.v)[400:-400] ** 2)))
 
 
@@ -28,7 +28,7 @@ def rms(data, true, setting):
 def test_the_chosen_window_is_close_to_the_best_one(motion, recorded, pitch, jitter, times):
     true = motion(5, 30.0, jitter)
     data = series.from_recording(recorded(true, pitch), times)
-    chosen = savgol.choose(data)
+    chosen = methods.choose_window(data)
     error = rms(data, true, Setting(chosen.window, chosen.order))
     ladder = sorted({max(int(chosen.window * factor) | 1, 7) for factor in np.geomspace(0.5, 1.6, 9)})
     best = min(rms(data, true, Setting(length, order)) for order in (4, 6) for length in ladder if length > order)
@@ -37,14 +37,14 @@ def test_the_chosen_window_is_close_to_the_best_one(motion, recorded, pitch, jit
 
 def test_the_reading_error_of_an_encoder_is_found(motion, recorded):
     for pitch in (7.67e-6, 50e-6):
-        found = savgol.choose(series.from_recording(recorded(motion(5, 30.0), pitch)))
+        found = methods.choose_window(series.from_recording(recorded(motion(5, 30.0), pitch)))
         assert found.reading_error == pytest.approx(pitch / np.sqrt(12), rel=0.12)
 
 
 def test_white_noise_on_a_swing_is_found(imported):
     time = np.arange(20_000) * 1e-3
     noise = 3e-5 * np.random.default_rng(8).standard_normal(time.size)
-    found = savgol.choose(series.from_recording(imported(time, 0.1 * np.sin(6 * time) + noise)))
+    found = methods.choose_window(series.from_recording(imported(time, 0.1 * np.sin(6 * time) + noise)))
     assert found.reading_error == pytest.approx(3e-5, rel=0.03)
 
 
@@ -54,19 +54,19 @@ def test_an_oversampled_record_gets_a_window_of_the_same_duration(imported):
     for rate in (1e3, 2e4):
         time = np.arange(int(8 * rate)) / rate
         noise = 3e-5 * np.sqrt(rate / 1e3) * rng.standard_normal(time.size)  # equal per unit of time
-        found = savgol.choose(series.from_recording(imported(time, 0.1 * np.sin(6 * time) + noise, rate)), 4)
+        found = methods.choose_window(series.from_recording(imported(time, 0.1 * np.sin(6 * time) + noise, rate)), 4)
         spans.append(found.window / rate)
     assert spans[1] == pytest.approx(spans[0], rel=0.4)
 
 
 def test_rest_tells_nothing_and_gets_a_plain_window(imported):
-    found = savgol.choose(series.from_recording(imported(np.arange(500) * 1e-3, np.full(500, 0.2))))
+    found = methods.choose_window(series.from_recording(imported(np.arange(500) * 1e-3, np.full(500, 0.2))))
     assert (found.window, found.order, found.reading_error) == (41, 4, 0.0)
 
 
 def test_rest_before_the_motion_does_not_shorten_the_window(motion, recorded):
     short, long = (
-        savgol.choose(series.from_recording(recorded(motion(5, 30.0, start=start)))) for start in (0.5, 15.0)
+        methods.choose_window(series.from_recording(recorded(motion(5, 30.0, start=start)))) for start in (0.5, 15.0)
     )
     assert long.window == pytest.approx(short.window, rel=0.25)
 

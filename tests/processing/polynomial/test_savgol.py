@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.methods import registry
+from processing import methods
 from processing.polynomial import savgol
 from processing.record import series
 from processing.record.setting import Setting
@@ -37,7 +37,7 @@ def test_velocity_errors_are_the_published_ones_or_smaller(
     motion, recorded, pitch, jitter, times, method, setting, rms, largest
 ):
     true = motion(5, 60.0, jitter)
-    found = registry.estimate(method, series.from_recording(recorded(true, pitch), times), setting)
+    found = methods.estimate(method, series.from_recording(recorded(true, pitch), times), setting)
     error = velocity_error(found, true)
     assert error[0] < rms
     assert error[1] < largest
@@ -46,7 +46,7 @@ def test_velocity_errors_are_the_published_ones_or_smaller(
 @pytest.mark.parametrize(("pitch", "setting"), [(7.67e-6, Setting()), (7.67e-6, Setting(41, 4)), (50e-6, Setting())])
 def test_two_standard_errors_cover_the_truth(motion, recorded, pitch, setting):
     true = motion(5, 60.0)
-    found = registry.estimate("sg", series.from_recording(recorded(true, pitch)), setting)
+    found = methods.estimate("sg", series.from_recording(recorded(true, pitch)), setting)
     landings = np.searchsorted(true.time, [start for start, _ in true.sticks[1:]])
     near = np.isin(np.arange(true.time.size), landings[:, None] + np.arange(-10, 11))
     for values, errors, exact in (
@@ -85,7 +85,7 @@ def test_uneven_times_agree_with_a_polynomial_fitted_to_each_window():
 def test_errors_grow_towards_the_ends(imported):
     time = np.arange(400) * 1e-3
     noise = 1e-5 * np.random.default_rng(6).standard_normal(400)
-    found = registry.estimate("sg", series.from_recording(imported(time, np.sin(time) + noise)), Setting(41, 4))
+    found = methods.estimate("sg", series.from_recording(imported(time, np.sin(time) + noise)), Setting(41, 4))
     assert found.velocity_errors[0] > 5 * found.velocity_errors[200]
     assert found.velocity_errors[-1] > 5 * found.velocity_errors[200]
 
@@ -96,5 +96,5 @@ def test_a_lost_sample_is_bridged_at_the_recorded_times(motion, recorded):
     true = true.without(lost)
     data = series.from_recording(recorded(true))
     assert len(data.pieces) == 1
-    found = registry.estimate("sg", data, Setting(31, 4))
+    found = methods.estimate("sg", data, Setting(31, 4))
     assert float(np.sqrt(np.mean((found.velocity - true.v) ** 2))) < 0.45e-3

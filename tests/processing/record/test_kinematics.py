@@ -71,10 +71,10 @@ def test_markers_are_drawn_at_their_times_and_of_a_part_those_within_it(tmp_path
     for at, words in ((1.0, "early"), (7.5, "hand on the guide")):
         store.annotate(path, {}, [(at, words)])
     whole = processing.smooth(daq.load(path))
-    assert [words for _, words in whole.drawing().markers] == ["early", "hand on the guide"]
+    assert [words for _, words in whole.recording.markers] == ["early", "hand on the guide"]
     assert [text.get_text().strip() for text in whole.plot().axes[0].texts] == ["early", "hand on the guide"]
     own = store.select_between(path, 4.0, 11.0)
     stage.save(processing.smooth(store.load(path, own)), path, own)
-    ((at, words),) = stage.load(path).drawing().markers
+    ((at, words),) = stage.load(path).recording.markers
     assert words == "hand on the guide"
     assert at == pytest.approx(7.5, abs=0.002)

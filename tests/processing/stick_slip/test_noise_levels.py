@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import processing
+from processing import methods
 from processing.kalman import white_jerk
-from processing.methods import registry
 from processing.record import series
 from processing.record.setting import Setting
 from processing.stick_slip import noise, smoother
@@ -25,7 +25,7 @@ def test_a_reading_is_no_better_than_its_last_decimal(motion, imported, monkeypa
 
     monkeypatch.setattr(smoother, "reestimate_noise", kept)
     data = series.from_recording(imported(np.round(true.time[thin], 9), printed, 25.0))
-    found = registry.estimate("auto", data, Setting())
+    found = methods.estimate("auto", data, Setting())
     assert found.method == "segment"
     least = 1e-18 / 12
     assert white_jerk.least_variance(data) == pytest.approx(least)
