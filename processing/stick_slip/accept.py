@@ -59,8 +59,8 @@ def learn_gate(
     levels: NoiseLevels,
     jerk: white_jerk.Noise,
     needed: float,
-) -> tuple[SwitchingTimes, NoiseLevels, Gate, "StickEvidence"] | list[Span]:
-    """Return the accepted sticks, on an even or uneven belt, their levels, the gate, and the evidence on an even belt.
+) -> tuple[SwitchingTimes, NoiseLevels, Gate] | list[Span]:
+    """Return the accepted sticks, on an even or uneven belt, their levels, and the gate.
 
     If the null model is kept, return the spans of time, s, of the few sticks that prevent the others from being
     accepted, or an empty list.
@@ -71,7 +71,7 @@ def learn_gate(
         return []
     snap = reestimate_noise(series, workspace, times, null_model(levels), 1, null_model=True)
     gate = Gate(jerk, snap, uneven=None, lenient=False)
-    evidence = before = StickEvidence.of(series, workspace, times, levels, gate, needed)
+    evidence = StickEvidence.of(series, workspace, times, levels, gate, needed)
     if levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP] or evidence.in_doubt.any():
         riding = replace(
             levels, mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
@@ -98,7 +98,7 @@ def learn_gate(
             times = refine_switching_times(series, workspace, times, levels, 0.25)
         likelihood = _sum_likelihood(series, times, levels, workspace, evidence.spans)
     # The gain of the remaining sticks must not be lost where others were dropped.
-    return (times, levels, gate, before) if likelihood[-1] - evidence.null[-1] > needed * times.time.size else []
+    return (times, levels, gate) if likelihood[-1] - evidence.null[-1] > needed * times.time.size else []
 
 
 def accept_sticks(
@@ -109,18 +109,16 @@ def accept_sticks(
     levels: NoiseLevels,
     gate: Gate,
     needed: float,
-    evidence: "StickEvidence | None" = None,
 ) -> SwitchingTimes | list[Span]:
     """Return the sticks accepted in a block of a record, each independently, or the spans of time, s, of misfits.
 
-    ``even`` are the levels of sticks on an even belt; ``levels``, and the ``evidence`` if on these corners, are those
-    of `learn_gate`.
+    ``even`` are the levels of sticks on an even belt; ``levels`` are those of `learn_gate`.
     """
     times = corners.times
     sticks = group_by_stick(times)
     if not sticks:
         return times
-    evidence = evidence or StickEvidence.of(series, workspace, times, even, gate, needed)
+    evidence = StickEvidence.of(series, workspace, times, even, gate, needed)
     if gate.uneven is not None:
         ride_times = _refine_rides(series, workspace, _label_as_rides(corners), gate.uneven)
         evidence = evidence.add_rides(series, workspace, ride_times, gate.uneven)

@@ -33,11 +33,6 @@ class SwitchingTimes:
     first: tuple[int, ...]  # label that each piece begins with
     unit: float  # usual length of a slip, s
 
-    def equals(self, other: "SwitchingTimes") -> bool:
-        pairs = (self.time, other.time), (self.sd, other.sd), (self.kind, other.kind)
-        same_arrays = all(np.array_equal(mine, theirs) for mine, theirs in pairs)
-        return same_arrays and self.first == other.first and self.unit == other.unit
-
 
 @dataclass(frozen=True, eq=False)
 class FilterStretch:

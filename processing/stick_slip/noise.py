@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.kalman import corner_kernel, mean_snap_kernel, motion_kernel, white_jerk
+from processing.kalman import corner_kernel, motion_kernel, white_jerk
 from processing.kalman.stick_slip import (
     CUT,
     JUMP_DERIVATIVE,
@@ -225,8 +225,6 @@ def merge_levels(even: NoiseLevels, riding: NoiseLevels) -> NoiseLevels:
     return replace(even, process_density=density, reading_variance=reading, reset_variance=reset)
 
 
-SNAP_KERNELS = ("processing.kalman.motion_kernel", "processing.kalman.mean_snap_kernel")
-
 PARTS = len(NEAR_LANDING)
 BEFORE, BEHIND = 1 / 3, 1 / 12  # of a slip: samples used before and after a landing
 OPEN = 1.5  # standard deviations by which the time of a landing may be wrong
@@ -247,7 +245,7 @@ def learn_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) 
     edges = np.concatenate((-unit * np.array(NEAR_LANDING)[::-1], [0.0]))
     parts = np.array([SLIP, *range(LANDING + PARTS - 1, LANDING - 1, -1), STICK], np.uint8)
     gram, rhs = np.zeros((PARTS, PARTS)), np.zeros(PARTS)
-    run = compiled(mean_snap_kernel.accumulate_normal_equations, SNAP_KERNELS)
+    run = compiled(corner_kernel.accumulate_normal_equations, KERNELS)
     starts = np.array([piece.start for piece in series.pieces])
     seen = 0
     for k in landings[np.unique(np.linspace(0, landings.size - 1, MOST).astype(int))].tolist():

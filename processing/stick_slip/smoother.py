@@ -32,7 +32,6 @@ from processing.stick_slip.accept import (
     Gate,
     PlacedCorners,
     Span,
-    StickEvidence,
     accept_sticks,
     bic_penalty,
     find_odd_spans,
@@ -88,15 +87,6 @@ class FirstPass:
     pilot: Motion
     cut_series: Series  # without its longer holes
     corners: PlacedCorners | None = None  # None without sticks
-    evidence: StickEvidence | None = None  # None if every stick is accepted
-    times: SwitchingTimes | None = None  # of the accepted sticks
-    early: tuple[Array, Mask] | None = None  # from `_smooth_at_times`, with ``times`` a standard deviation early
-
-    def smooth_early(self, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> tuple[Array, Mask]:
-        """Smooth the record with these switching times a standard deviation early."""
-        if self.early is not None and self.times is not None and times.equals(self.times):
-            return self.early[0].copy(), self.early[1]
-        return _smooth_at_times(self.cut_series, workspace, _shift_times(self.cut_series, times, -1.0), levels)
 
 
 def learn(
@@ -120,7 +110,7 @@ def learn(
     levels = _estimate_levels(series, workspace, early.times, crude_levels)
     crude_model = StickSlip(initial_times.unit, crude_levels, levels, levels, needed, None, 1.0, math.nan)
     corners = _place_corners(series, workspace, early, levels)
-    times, gate, evidence = corners.times, None, None
+    times, gate = corners.times, None
     if gated:
         accepted = learn_gate(series, workspace, corners, levels, noise, needed)
         if isinstance(accepted, list):
@@ -131,14 +121,13 @@ def learn(
             if not odd or not outside.any():
                 return rule, None, first_pass
             return learn(series.select(outside), noise, pilot.select(outside), stated, gated=True)
-        times, levels, gate, evidence = accepted
-    run = _smooth_at_times(series, workspace, _shift_times(series, times, -1.0), levels)
-    motion, stick = run[0].copy(), run[1]
+        times, levels, gate = accepted
+    motion, stick = _smooth_at_times(series, workspace, _shift_times(series, times, -1.0), levels)
     line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
     sticks = sticks_at_corners(series, _list_corners(series, times))
     speed = speed_of_sticks(series, sticks, motion[1], pilot.window)
     model = replace(crude_model, levels=levels, gate=gate, line=line, speed=speed)
-    return rule, model, replace(first_pass, corners=corners, evidence=evidence, times=times, early=run)
+    return rule, model, replace(first_pass, corners=corners)
 
 
 def _cut_long_holes(series: Series, rule: plateaus.PlateauRule) -> Series:
@@ -167,7 +156,7 @@ def apply(
     times = corners.times
     if model.gate is not None:
         levels = model.even, model.levels
-        accepted = accept_sticks(series, workspace, corners, *levels, model.gate, model.corner, first_pass.evidence)
+        accepted = accept_sticks(series, workspace, corners, *levels, model.gate, model.corner)
         if isinstance(accepted, list):
             outside = _mask_outside(series, accepted)
             smoothed = apply(series.select(outside), pilot.select(outside), stated, rule, model)
@@ -181,7 +170,7 @@ def apply(
             both = tuple(sorted((*smoothed.corners, *odd), key=lambda corner: corner.time))
             return replace(smoothed.with_rows(rows), corners=both, method="segment", order=ORDER)
         times = accepted
-    return _average_over_times(first_pass, workspace, times, model)
+    return _average_over_times(series, pilot, workspace, times, model)
 
 
 def _find_corners_of_block(
@@ -224,7 +213,9 @@ def _estimate_levels(series: Series, workspace: Workspace, times: SwitchingTimes
     return reestimate_noise(series, workspace, times, learn_mean_snap(series, times, levels), 1)
 
 
-def _average_over_times(first_pass: FirstPass, workspace: Workspace, times: SwitchingTimes, model: StickSlip) -> Motion:
+def _average_over_times(
+    series: Series, pilot: Motion, workspace: Workspace, times: SwitchingTimes, model: StickSlip
+) -> Motion:
     """Smooth with the switching times a standard deviation early and late, and average both.
 
     The variance of the smoother is the sum of a part from the readings and one from the process noise.  A slip is
@@ -232,8 +223,7 @@ def _average_over_times(first_pass: FirstPass, workspace: Workspace, times: Swit
     H = 1/(1 + w^8); the variance from the readings and the whole one are the integrals of w^(2d) H^2 and of w^(2d) H,
     and their ratio is 1 - (2 d + 1)/8 in the d-th derivative.
     """
-    series, pilot = first_pass.cut_series, first_pass.pilot
-    early, stick = first_pass.smooth_early(workspace, times, model.levels)
+    early, stick = _smooth_at_times(series, workspace, _shift_times(series, times, -1.0), model.levels)
     _straighten(series, stick, times.unit, model.levels, early, model.line)
     late, stick_late = _smooth_at_times(series, workspace, _shift_times(series, times, 1.0), model.levels)
     line = stick & stick_late

@@ -7,7 +7,7 @@ import pytest
 
 import processing
 from processing import methods
-from processing.kalman import corner_kernel, mean_snap_kernel, motion_kernel, stick_slip, white_jerk
+from processing.kalman import corner_kernel, motion_kernel, stick_slip, white_jerk
 from processing.kalman.white_jerk import first_state
 from processing.record import series
 from processing.record.setting import Setting
@@ -195,7 +195,7 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
     levels = stick_slip.NoiseLevels(*(np.full(18, value) for value in (1e5, 0.0, 5e-12)), np.zeros(9), 9.5)
     outcomes = []
     state = first_state(data.time[i:j], data.position[i:j], 5e-12, 3)
-    kernel = mean_snap_kernel.accumulate_normal_equations
+    kernel = corner_kernel.accumulate_normal_equations
     noise, loose = levels.process, np.array([0.0, 1e-6, 0.0, 0.0])
     for run in (kernel, compiled(kernel, landing_snap.SNAP_KERNELS)):
         gram, rhs = np.zeros((2, 2)), np.zeros(2)
