@@ -1,7 +1,7 @@
-"""Kernels: labels of the samples between the corners of a motion of white snap, the most likely times of corners, and
-how the mean snap before a landing shifts the predicted samples around it.
+"""Kernels: labels of the samples between the corners of a motion of white snap, and the most likely times of corners.
 
-Every function runs as written or compiled (`stickslip.compute.compile`).
+Also how the mean snap before a landing shifts the predicted samples around it.  Every function runs as written or
+compiled (`stickslip.compute.compile`).
 """
 
 import math
@@ -179,9 +179,6 @@ def refine_switching_times(
             middle = tried[best]
             if 0 < best < 2 * n:
                 step /= 3
-
-
-Labels = NDArray[np.uint8]
 
 
 def accumulate_normal_equations(
