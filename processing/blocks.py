@@ -139,7 +139,7 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
         return replace(model, belt_speed=method_model.sticks.speed)
     motion = methods.apply(kept_series, method_model)
     belt_motion = _smooth_belt(belt, model, motion, kept_series)
-    rule, speed = plateaus.learn(kept_series, motion, method_model.stated, belt_motion)
+    rule, _, speed = plateaus.learn(kept_series, motion, method_model.stated, belt_motion)
     return replace(model, rule=rule, belt_speed=speed)
 
 

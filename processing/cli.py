@@ -175,8 +175,7 @@ def export(
 
     Example: process export run.h5 -o motion.csv
     """
-    from processing import export as tables
-    from stickslip.output import atomic, suffix
+    from stickslip.output import atomic, suffix, tables
 
     if csv is None:
         raise InputError("nothing to write", "command line", "give -o FILE.csv")
@@ -184,8 +183,9 @@ def export(
     suffix.check(csv, suffix.CSV)
     recording, stored = _load_motion(file)
     motion = _smooth_in_memory(recording) if stored is None else stored
-    columns = tables.write_csv(motion, csv, force=force)
-    rows = int(motion.time.size)
+    table = motion.to_dataframe()
+    tables.write(table, csv, "csv", force=force)
+    rows, columns = len(table), list(table.columns)
     data = {"rows": rows, "columns": columns, "file": csv, "smoothed_in_memory": stored is None}
     return Answer(data, f"{csv}: {rows} rows; columns {', '.join(columns)}")
 

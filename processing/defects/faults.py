@@ -33,7 +33,7 @@ from processing.defects.residual_kernel import CORNER, ENDS, KICK, OUTLIER, STEP
 from processing.kalman import white_jerk
 from processing.record.motion import Fault, VelocityStep
 from processing.record.noise import position_noise, reading_step
-from processing.record.series import PositionStep, Series, step_offsets, step_profile, without_steps
+from processing.record.series import PositionStep, Series, step_offsets, step_profile
 from stickslip.compute.arrays import Array, Integers, Mask, runs
 from stickslip.compute.compile import compiled
 
@@ -520,7 +520,7 @@ def _collect_faults(series: Series, segment: Segments, searches: list[tuple[slic
             kicks += [VelocityStep(begin + sample, size) for sample, size in search.find_kicks()]
     steps.sort(key=lambda step: step.first)
     offset = step_offsets(segment, tuple(steps))
-    position = without_steps(series, offset).position
+    position = series.position - offset if steps else series.position
     if not kept.all():
         position = np.where(kept, position, np.nan)
     return CheckedRecord(

@@ -83,8 +83,9 @@ def standard_errors(
     ``long`` is the fit over ``window`` samples and ``short`` its probe, values and norms each; ``floor`` is the least
     reading error, m.
     """
-    n = position.size
-    window = min(window, n)
+    from scipy.ndimage import maximum_filter1d
+
+    window = min(window, position.size)
     noise = np.minimum(_reading_variance(position, long, window), _reading_variance(position, short, window // 2 | 1))
     noise = np.maximum(noise, floor**2)
     # A short piece does not determine every derivative: those have infinite weights.
@@ -94,19 +95,9 @@ def standard_errors(
     expected = noise * np.maximum(probing**2 - weights**2, 0.0)
     corner = np.maximum(difference - 7 * expected, 0.0)
     reach = max(window // 4, 1)
-    corner = _running_maximum(np.pad(corner, ((0, 0), (reach, reach))), 2 * reach + 1)
+    corner = maximum_filter1d(corner, 2 * reach + 1, axis=1, mode="constant")
     errors: Array = np.where(finite, np.sqrt(noise * weights**2 + corner), np.inf)
     return errors
-
-
-def _running_maximum(rows: Array, width: int) -> Array:
-    """Return the maximum of every ``width`` neighbours, (3, n - width + 1), from maxima of runs that double."""
-    done = 1
-    while 2 * done <= width:
-        rows = np.maximum(rows[:, :-done], rows[:, done:])
-        done *= 2
-    rest = width - done
-    return np.maximum(rows[:, : rows.shape[1] - rest], rows[:, rest:])
 
 
 def _reading_variance(position: Array, fitted: tuple[Array, Array], window: int) -> Array:

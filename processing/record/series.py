@@ -249,13 +249,6 @@ def step_offsets(segment: NDArray[np.integer], steps: tuple[PositionStep, ...]) 
     return offset
 
 
-def without_steps(series: Series, offset: Array) -> Series:
-    """Return the record without its steps; ``offset`` is the result of `step_offsets`."""
-    if not offset.any():
-        return series
-    return replace(series, position=series.position - offset)
-
-
 def step_profile(width: int) -> Array:
     """Return the share of a step of ``width`` samples that is complete at each of them."""
     return np.arange(1, width + 1) / width

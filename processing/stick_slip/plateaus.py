@@ -177,15 +177,12 @@ def speed_of_sticks(series: Series, sticks: list[Stick], velocity: Array, window
     """
     firsts = np.searchsorted(series.time, [stick[0] for stick in sticks])
     ends = np.searchsorted(series.time, [stick[1] for stick in sticks], "right")
-    return _mean_stick_speed([velocity[first:end] for first, end in zip(firsts, ends, strict=True)], window)
-
-
-def _mean_stick_speed(velocity: list[Array], window: int) -> float:
-    speeds = np.concatenate(velocity) if velocity else np.empty(0)
+    stick_velocities = [velocity[first:end] for first, end in zip(firsts, ends, strict=True)]
+    speeds = np.concatenate(stick_velocities) if stick_velocities else np.empty(0)
     if not speeds.size:
         return math.nan
     level = float(speeds[np.abs(speeds - np.median(speeds)) <= SAME_SPEED * abs(np.median(speeds))].mean())
-    return speed_before_creep(velocity, window, level)
+    return speed_before_creep(stick_velocities, window, level)
 
 
 def find_plateau_corners(
@@ -344,17 +341,8 @@ class _Search:
 
 def learn(
     series: Series, motion: Motion, stated: float | None = None, belt: BeltMotion | None = None
-) -> tuple[PlateauRule, float]:
-    """Return the rule of `learn_phases`, and the speed of the belt from the sticks, m/s, or NaN."""
-    rule, phases, mass_motion = learn_phases(series, motion, stated, belt)
-    stick_velocities = [mass_motion.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
-    return rule, speed_before_creep(stick_velocities, motion.window, rule.speed)
-
-
-def learn_phases(
-    series: Series, motion: Motion, stated: float | None = None, belt: BeltMotion | None = None
-) -> tuple[PlateauRule, tuple[Phase, ...], Motion]:
-    """Return the rule of a record, its sticks and slips, and the motion of the mass that determines the stick speed.
+) -> tuple[PlateauRule, tuple[Phase, ...], float]:
+    """Return the rule of a record, its sticks and slips, and the speed of the belt from the sticks, m/s, or NaN.
 
     A ``stated`` belt speed, m/s, takes precedence over the motion of a ``belt`` with an encoder: only sticks at that
     speed are found.
@@ -369,8 +357,10 @@ def learn_phases(
     rule = replace(rule, speed=common, fastest=median_peak_speed(series, sticks, relative_velocity))
     sticks = extend_over_creep(series, sticks, relative_velocity, rule.fastest)
     if sticks and _is_overtaken(search, common, sticks):
-        return replace(rule, speed=math.nan), lay_out_phases(series, moving, []), search.mass_motion
-    return rule, lay_out_phases(series, moving, sticks), search.mass_motion
+        rule, sticks = replace(rule, speed=math.nan), []
+    phases, velocity = lay_out_phases(series, moving, sticks), search.mass_motion.velocity
+    stick_velocities = [velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
+    return rule, phases, speed_before_creep(stick_velocities, motion.window, rule.speed)
 
 
 def segment(

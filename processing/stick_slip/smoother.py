@@ -96,7 +96,7 @@ def learn(
 
     ``gated`` lets model selection decide on the sticks.  The model is None without any (accepted) stick.
     """
-    rule, phases, _ = plateaus.learn_phases(series, pilot, stated)
+    rule, phases, _ = plateaus.learn(series, pilot, stated)
     first_pass = FirstPass(series, pilot, _cut_long_holes(series, rule))
     if first_pass.cut_series is not series:
         series = first_pass.cut_series

@@ -264,4 +264,4 @@ def test_a_short_record_is_smoothed_more_no_further_than_it_is_long(samples):
     rough = white_jerk.smooth(data, white_jerk.Noise(1e9, 0.01))
     for window in range(9, 15, 2):
         motion = replace(rough, window=window)
-        assert plateaus.learn_phases(data, motion)[1]
+        assert plateaus.learn(data, motion)[1]
