@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,10 +20,7 @@ def break_aways(ratio, stick, scatter=0.002):
         BreakAway(number, float(t), float(one * (1 + scatter * rng.standard_normal())), 1.0, "")
         for number, (t, one) in enumerate(zip(times, ratio, strict=True), start=1)
     ]
-    cycles = [
-        SimpleNamespace(number=number, landing=t - s) for number, (t, s) in enumerate(zip(times, stick, strict=True))
-    ]
-    return events, SimpleNamespace(cycles=cycles)
+    return events, dict(enumerate(times - stick))
 
 
 def found_in(ratio, stick, error=0.0):
