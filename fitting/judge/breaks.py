@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from fitting.judge.parameters import BreakAway
+from fitting.model.path import follow
 from fitting.model.unknowns import PER_CYCLE, Global, PerCycle
 from fitting.model.windows import ShootingWindows
 from fitting.record.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
@@ -39,6 +40,26 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
         scale = math.exp(float(fit.local[k, PerCycle.LEVEL]))
         rows.append(BreakAway(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
     return tuple(rows)
+
+
+def find_stick_starts(fit: Fit, cut: CycleSegmentation) -> dict[int, float]:
+    """Return the time at which the mass comes to stick after each slip, s, by the number of the cycle; NaN if unknown.
+
+    A mass that overtakes the belt reaches its speed twice, and sticks the second time, which the fitted motion shows.
+    Of a cycle that is not fitted only the first time is measured.
+    """
+    starts = {cycle.number: math.nan if cycle.overtakes else cycle.landing for cycle in cut.cycles}
+    curve = fit.curve_on_path
+    path = None if curve is None else follow(fit.windows, curve, fit.u, fit.local)
+    if path is None:
+        raise RuntimeError("the motion of a fit can be followed")
+    for row, (k, stick) in enumerate(fit.windows.table[:, :2].tolist()):
+        if not stick:
+            points = slice(*path.first_point[row : row + 2])
+            slipping, time = np.flatnonzero(path.slips[points]), path.time[points]
+            comes = 0 < slipping.size and slipping[-1] + 1 < time.size
+            starts[fit.cycles[k].number] = float(time[slipping[-1] + 1]) if comes else math.nan
+    return starts
 
 
 def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ is chosen such that the remaining residual, with the noise, has the correlation 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,6 @@ from fitting.judge.departures import Base, median_rms
 from fitting.judge.parameters import BreakAway
 from fitting.model.forces import Forcing
 from fitting.model.problem import rest_calibration
-from fitting.record.cycles import CycleSegmentation
 from fitting.search.fit import Fit
 from processing.record.motion import Finding
 from stickslip.compute.arrays import Array, autocorrelation_time
@@ -33,7 +32,7 @@ class BreakAways(NamedTuple):
     """The break-aways of one run."""
 
     events: Sequence[BreakAway]
-    cut: CycleSegmentation
+    stick_starts: Mapping[int, float]  # s, after the slip of each cycle, by its number; NaN if unknown
     error: float  # common standard deviation of their levels, over the level
 
 
@@ -64,30 +63,35 @@ def find_other_break_away(runs: Sequence[BreakAways], level: float, unit: str) -
 
 def _levels(run: BreakAways) -> tuple[Array, Array]:
     """Return the break-away levels of a run over that at rest, and the stick times before them, s (NaN if unknown)."""
-    landing = {cycle.number + 1: cycle.landing for cycle in run.cut.cycles}
     usable = [event for event in run.events if not event.flag and math.isfinite(event.break_away_level)]
     ratio = np.array([event.break_away_level / event.kinetic_scale for event in usable])
-    return ratio, np.array([event.t - landing.get(event.number, math.nan) for event in usable])
+    return ratio, np.array([event.t - run.stick_starts.get(event.number - 1, math.nan) for event in usable])
 
 
 def _growth(runs: Sequence[tuple[Array, Array, float]]) -> Measured | None:
     """Return the slope of the ratio against the log stick time; for several runs, the slope of their means.
 
     Within a run the slope can be half or twice the true one: a level that is high by chance also makes the stick
-    longer.
+    longer.  That does not bias the means, whose errors are those of the scatter about the slope.
     """
-    means = []
+    logs = []
     for ratio, stick, error in runs:
         usable = np.isfinite(stick) & (stick > 0)
-        if usable.sum() < FEWEST_BREAK_AWAYS:
-            continue
-        x, y = np.log(stick[usable]), ratio[usable]
-        if len(runs) == 1:
-            return _slope_within(x, y)
-        means.append((x.mean(), y.mean(), y.var(ddof=1) / y.size + error**2))
-    if len(means) < 2:
+        if usable.sum() >= FEWEST_BREAK_AWAYS:
+            logs.append((np.log(stick[usable]), ratio[usable], error))
+    if len(runs) == 1:
+        return _slope_within(*logs[0][:2]) if logs else None
+    if len(logs) < 2:
         return None
-    x, y, variance = np.array(means).T
+    growth = _slope_of_means(logs, 0.0)
+    return None if growth is None else _slope_of_means(logs, growth.value)
+
+
+def _slope_of_means(runs: Sequence[tuple[Array, Array, float]], slope: float) -> Measured | None:
+    """Return the slope of the means of y over those of x, weighted by the scatter of y about ``slope``."""
+    x = np.array([one.mean() for one, _, _ in runs])
+    y = np.array([one.mean() for _, one, _ in runs])
+    variance = np.array([(b - slope * a).var(ddof=1) / a.size + error**2 for a, b, error in runs])
     x = x - np.average(x, weights=1 / variance)
     square = float(np.sum(x**2 / variance))
     return Measured(float(np.sum(x * y / variance)) / square, 1 / math.sqrt(square)) if square > 0 else None

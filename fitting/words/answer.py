@@ -274,7 +274,7 @@ def _other_break_away(competition: Competition) -> list[Finding]:
             runs = [
                 BreakAways(
                     breaks.find_break_aways(fit.for_run(number), run.motion, run.cut),
-                    run.cut,
+                    breaks.find_stick_starts(fit.for_run(number), run.cut),
                     break_away_level_error(fit, run.motion, number),
                 )
                 for number, run in enumerate(competition.runs)

@@ -2,14 +2,19 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from fitting import rank
+from fitting.judge.breaks import find_stick_starts
 from fitting.judge.fluctuation import BreakAways, find_other_break_away
+from fitting.judge.law_fits import cut_run
 from fitting.judge.parameters import BreakAway
+from fitting.laws import SIX
+from fitting.record.motion import from_kinematics
+from fitting.search.exchange import fit_laws
+from processing.smoothing import smooth
 
 STICKS = np.exp(np.random.default_rng(1).uniform(-1, 1, 20))  # s
 
@@ -21,10 +26,7 @@ def break_aways(ratio, stick, scatter=0.002):
         BreakAway(number, float(t), float(one * (1 + scatter * rng.standard_normal())), 1.0, "")
         for number, (t, one) in enumerate(zip(times, ratio, strict=True), start=1)
     ]
-    cycles = [
-        SimpleNamespace(number=number, landing=t - s) for number, (t, s) in enumerate(zip(times, stick, strict=True))
-    ]
-    return events, SimpleNamespace(cycles=cycles)
+    return events, dict(enumerate(times - stick))
 
 
 def found_in(ratio, stick, error=0.0):
@@ -59,6 +61,22 @@ def test_a_ratio_within_its_error_or_of_few_break_aways_is_none(ratio, count, er
 
 
 @pytest.mark.slow
+def test_a_mass_that_overtakes_the_belt_sticks_when_it_returns(belt_rig):
+    """The smoothed motion reaches the belt's speed up to 0.4 s before."""
+    contact = belt_rig.Contact(Fs=1.4, gamma=9.6, c=0.02, scatter=0.02, belt=0.25, ageing=(0.05, 0.01), seed=12)
+    recording = belt_rig.by_encoder(contact)
+    run = cut_run(from_kinematics(smooth(recording), recording.rig, None), frozenset())
+    (fit,) = fit_laws([SIX[5]], [run], among=[SIX[5]])
+    starts, exact = find_stick_starts(fit, run.cut), belt_rig.follow(contact, np.arange(0.0, 30.0, 0.01))
+    overtaking = [cycle for cycle in fit.cycles[:-1] if cycle.overtakes]  # the last stick is cut short
+    measured = np.array([cycle.landing for cycle in overtaking])
+    returned = exact.landings[np.searchsorted(exact.landings, measured + 0.5) - 1]
+    assert measured.size >= 5
+    assert (returned - measured).max() > 0.35
+    assert np.array([starts[cycle.number] for cycle in overtaking]) == pytest.approx(returned, abs=1e-3)
+
+
+@pytest.mark.slow
 @pytest.mark.usefixtures("asked_law_alone")
 def test_two_belt_speeds_determine_how_a_break_away_ages(belt_rig):
     # Within a run it came out at 6 to 15 %: a level that is high by chance also makes the stick before it longer.
@@ -68,5 +86,5 @@ def test_two_belt_speeds_determine_how_a_break_away_ages(belt_rig):
     (finding,) = [finding for finding in ranking.findings if finding.code == "break-away"]
     growth, error = re.search(r"grows by (\S+) \+- (\S+) % of that", finding.text).groups()
     assert ranking.laws_in_set == (5,)
-    assert float(error) < 2.0
-    assert abs(float(growth) - 5.0) < 2 * float(error)
+    assert float(error) <= 0.7
+    assert abs(float(growth) - 5.0) < 0.7
