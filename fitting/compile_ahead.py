@@ -80,11 +80,11 @@ def compile_derivatives() -> None:
 
 def compile_memory() -> None:
     """Compile what follows laws with memory, along windows of no run."""
-    floats, rows = np.empty((0, 1)), np.empty((0, 6), np.int64)
-    time, work = np.empty(0), np.empty((4, memory_flow.COLUMNS, 3))
-    x, derivatives = np.empty((3, 0)), np.empty((0, memory_flow.COLUMNS))
+    floats, rows, columns = np.empty((0, 1)), np.empty((0, 6), np.int64), 1 + memory_flow.PER_WINDOW
+    time, work = np.empty(0), np.empty((4, columns, 3))
+    x, derivatives = np.empty((3, 0)), np.empty((0, columns))
     compiled(memory_flow.follow_windows, memory.KERNELS, _nrt=False)(
-        0, floats, floats, rows, floats, time, x, derivatives, work
+        0, floats, floats, rows, floats, time, x, derivatives, work, None
     )
 
 

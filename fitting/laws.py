@@ -39,6 +39,7 @@ from rig_sim.friction.formula import SPEED, Formula
 from rig_sim.friction.law import LAWS, NESTED
 from rig_sim.friction.law import Law as Kind
 from rig_sim.friction.memory import MEMORY_LAWS
+from rig_sim.friction.pair import STATE
 from stickslip import units
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError, check_known, nearest
@@ -49,8 +50,10 @@ FORMULAS = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC}
 OF_SIX = [(str(kind.number), FORMULAS[kind.curve], bool(kind.ramp)) for kind in LAWS.values()]
 SPEED_WORDS = re.compile(r"[svuwx]|[vu]_?(rel|r|slip)|speed|vel\w*|slip\w*|[sx]_?dot", re.IGNORECASE)  # meant as s
 DEPENDENT_BELOW = 1e-8  # relative size of a derivative beside others, or of a singular value; independent ones: > 1e-6
+RATE = re.compile(rf"\s*{STATE}\s*'\s*=")
 UNIT_DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
 Bound = tuple[float | None, float | None]
+Chance = np.random.Generator
 
 
 def check_values(given: Any, kind: str) -> Mapping[str, Any]:
@@ -87,7 +90,8 @@ def in_unit(value: Any, unit: str, name: str, where: str) -> Any:
 
 # Of the parameters of a law with memory, per unit mass: powers of friction and of speed (`Law.dimensions`).
 POWERS = {"force": (1, 0), "stiffness": (2, -2), "damping": (1, -1), "length": (-1, 2), "speed": (0, 1)}
-IN_NEWTONS = {"force": "N", "stiffness": "N/m", "damping": "N s/m"}  # those that are per unit mass in a fit
+# Those that are per unit mass in a fit.
+IN_NEWTONS = {POWERS["force"]: "N", POWERS["stiffness"]: "N/m", POWERS["damping"]: "N s/m"}
 VISCOUS = "s2"  # of bristles: only its sum with the damping is determined, so it is counted as damping
 OF_MEMORY = {
     name: {own: POWERS[about.dimension] for own, about in law.parameters.items() if own != VISCOUS}
@@ -97,7 +101,7 @@ OF_MEMORY = {
 
 @dataclass(frozen=True)
 class Law:
-    """A friction curve as a formula of the slip speed.
+    """A friction law as a formula of the slip speed, and of a state where it has memory.
 
     Parameters
     ----------
@@ -108,7 +112,9 @@ class Law:
     ramp : bool
         Whether slip begins beyond a ramp, as under laws 2, 4 and 6; else friction jumps.
     rate : str
-        Rate z' of the state of a published law with memory, whose ``formula`` is friction of steady slip; else empty.
+        Rate z' of a state z, as a formula of s (0 or more) and z; ``formula`` may then contain z.  Friction acts as the
+        belt pulls where the belt is faster, and against that where the mass is; z is not 0 in steady slip.  Of a
+        published law with memory, ``formula`` is friction of steady slip.
     start : mapping of str to float or str, optional
         First values of parameters, as text with a unit (``"30 mm/s"``) or in SI; those left out are found.
     bounds : mapping of str to (low, high), optional
@@ -128,6 +134,8 @@ class Law:
     >>> law = fitting.Law("mine", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)", bounds={"v_s": (0, None)}, fix={"Fc": 1.5})
     >>> law.free, law.unit("v_s")
     (('Fs', 'v_s'), 'm/s')
+    >>> fitting.Law("aged", "F0 + a*log(s/v0) + b*log(z*v0/D)", rate="1 - s*z/D").parameters
+    ('F0', 'a', 'v0', 'b', 'D')
     """
 
     name: str
@@ -144,8 +152,8 @@ class Law:
             raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
         if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
-        if self.rate and self.name not in OF_MEMORY:
-            raise InputError(f"law {self.name} has a rate", "rate", f"only these have: {', '.join(OF_MEMORY)}")
+        if self.own_memory:
+            self._check_memory()
         known = self.parameters
         if not known:
             raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
@@ -168,12 +176,39 @@ class Law:
                     what = f"{name} is {value:g}, not within {low:g} and {high:g}"
                     raise InputError(what, kind, f"give one that law {self.name} allows")
 
+    def _check_memory(self) -> None:
+        if not isinstance(self.rate, str):
+            raise InputError(f"is {self.rate!r:.40}", "rate", 'give a formula: rate="1 - s*z/D"')
+        if self.ramp:
+            raise InputError(f"law {self.name} has memory, and no ramp", "ramp", "leave it out")
+        for formula, what in ((self.curve, "formula"), (self.state_rate, "rate")):
+            if STATE not in formula.parameters:
+                do = f"write {STATE} for the state, as in F0 + b*log(z/t0); z' = 1 - s*z/D"
+                raise InputError(f"of law {self.name} does not depend on the state {STATE}", what, do)
+
     @cached_property
     def curve(self) -> Formula:
         return Formula.parse(self.formula)
 
+    @cached_property
+    def state_rate(self) -> Formula:
+        return Formula.parse(self.rate)
+
+    @property
+    def written(self) -> str:
+        """The formula, and the rate of a law of one's own, as ``--law`` reads them behind the name."""
+        return f"{self.formula}; {STATE}' = {self.rate}" if self.own_memory else self.formula
+
+    @property
+    def own_memory(self) -> bool:
+        """Whether it has a state and is no published law."""
+        return bool(self.rate) and self.name not in OF_MEMORY
+
     @property
     def parameters(self) -> tuple[str, ...]:
+        if self.own_memory:
+            names = dict.fromkeys((*self.curve.parameters, *self.state_rate.parameters))
+            return tuple(name for name in names if name != STATE)
         return tuple(OF_MEMORY[self.name]) if self.rate else self.curve.parameters
 
     @property
@@ -186,7 +221,7 @@ class Law:
 
     @property
     def words(self) -> str:
-        if self.rate:
+        if self.name in OF_MEMORY:
             return MEMORY_LAWS[self.name].title
         return LAWS[self.number].name if self.number else self.name.replace("-", " ")
 
@@ -207,7 +242,7 @@ class Law:
     def contains(self, other: "Law") -> bool:
         """Return whether the other law is a limit of this one; the limits of a formula are on either contact."""
         if self.rate:
-            return other.name in MEMORY_LIMITS[self.name]
+            return other.name in MEMORY_LIMITS.get(self.name, ())
         if self.number:
             return other.number in NESTED[self.number]
         return self.name in ABOUT and other.formula in ABOUT[self.name].limits
@@ -218,45 +253,57 @@ class Law:
 
     @cached_property
     def dimensions(self) -> dict[str, tuple[int, int]]:
-        """Powers a of friction f and b of speed in each parameter p; empty where a number of the formula has a unit.
-
-        Euler's theorem on homogeneous functions: sum a_j p_j df/dp_j = f and sum b_j p_j df/dp_j + s df/ds = 0.
-        """
-        if self.rate:
+        """Powers of friction and of speed in each parameter; empty where a number of the formula has a unit."""
+        if self.rate and not self.own_memory:
             return OF_MEMORY[self.name]
+        return {name: (force, speed) for name, (force, speed, _) in self._powers.items()}
+
+    @cached_property
+    def _powers(self) -> dict[str, tuple[int, int, int]]:
+        """Powers a of friction f, b of speed and m of the mass in each parameter p, or none.
+
+        Euler's theorem on homogeneous functions: sum a_j p_j df/dp_j = f and sum b_j p_j df/dp_j + s df/ds = 0.  A
+        state counts as a parameter; its rate g has its powers, and one more of f/s: sum a_j p_j dg/dp_j - a_z g = g and
+        sum b_j p_j dg/dp_j - b_z g + s dg/ds = -g.  Friction grows with the mass, but time does not: m is a without a
+        rate, and sum m_j p_j dg/dp_j - m_z g = 0 with one.
+        """
         rng = np.random.default_rng(len(self.formula))
-        names = self.curve.parameters
-        rows, level, fall = [], [], []
+        names = (*self.parameters, STATE) if self.rate else self.parameters
+        rows, targets = [], []
         for _ in range(UNIT_DRAWS):
-            values = {name: float(rng.uniform(0.5, 2.0)) for name in names}
+            values: dict[str, Any] = {name: float(rng.uniform(0.5, 2.0)) for name in names}
             s = rng.uniform(0.1, 2.0, 4 * len(names))
+            if self.rate:
+                values[STATE] = rng.uniform(0.5, 2.0, s.size)
             try:
-                rows.append(self.curve.gradient(s, values) * np.array(list(values.values())))
-                level.append(self.curve.value(s, values))
-                fall.append(-s * self.curve.slope(s, values))
+                for formula in (self.curve, self.state_rate) if self.rate else (self.curve,):
+                    own, value = formula.gradient(s, values, names), formula.value(s, values)
+                    columns = np.stack([own[:, k] * values[name] for k, name in enumerate(names)], axis=1)
+                    if formula is not self.curve:
+                        columns[:, -1] -= value
+                    rows.append(columns)
+                    fall, of_rate = -s * formula.slope(s, values), formula is not self.curve
+                    targets.append(np.stack((value, fall - value * of_rate, value * (not of_rate)), axis=1))
             except InputError:
                 return {}
-        table = np.concatenate(rows)
-        target = np.stack((np.concatenate(level), np.concatenate(fall)), axis=1)
+        table, target = np.concatenate(rows), np.concatenate(targets)
         # The first of parameters that enter only together has the unit: halves for two would round either way.
         kept: list[int] = []
         for k, column in enumerate(table.T):
             others = table[:, kept]
             left = column - others @ np.linalg.lstsq(others, column, rcond=None)[0] if kept else column
             kept += [k] if np.linalg.norm(left) > DEPENDENT_BELOW * np.linalg.norm(column) else []
-        whole = np.zeros((len(names), 2))
+        whole = np.zeros((len(names), 3))
         whole[kept] = np.rint(np.linalg.lstsq(table[:, kept], target, rcond=None)[0])
         if not np.allclose(table @ whole, target, rtol=0.0, atol=1e-6 * float(np.abs(target).max())):
             return {}
-        return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}
+        return {name: (int(a), int(b), int(m)) for name, (a, b, m) in zip(names, whole, strict=True)}
 
     def unit(self, name: str, *, newtons: bool = False) -> str:
         """Return the unit of a parameter, per unit mass unless ``newtons``; empty if unknown."""
-        if self.rate and newtons and self.mass_power(name):
-            return IN_NEWTONS[MEMORY_LAWS[self.name].parameters[name].dimension]
         force, speed = self.dimensions.get(name, (0, 0))
-        if newtons and force == 1:
-            return {0: "N", -1: "N s/m"}.get(speed) or f"N (m/s)^{speed}"
+        if newtons and self.mass_power(name) == 1:
+            return IN_NEWTONS.get((force, speed)) or f"N (m/s)^{speed}"
         words = {(0, 1): "m/s", (0, -1): "s/m"}
         powers = sorted((("m", force + speed), ("s", -2 * force - speed)), key=lambda part: -part[1])
         composed = " ".join(f"{base}^{power}" if power != 1 else base for base, power in powers if power)
@@ -264,13 +311,16 @@ class Law:
 
     def mass_power(self, name: str) -> int:
         """Return the power of the mass by which a parameter per unit mass is one in newtons."""
-        if self.rate:
-            return int(MEMORY_LAWS[self.name].parameters[name].dimension in IN_NEWTONS)
-        return self.dimensions.get(name, (0, 0))[0]
+        if self.rate and not self.own_memory:
+            return int(self.dimensions[name] in IN_NEWTONS)
+        return self._powers.get(name, (0, 0, 0))[2]
 
     def limits(self, name: str) -> tuple[float, float]:
         low, high = (self.bounds or {}).get(name, (None, None))
         return -math.inf if low is None else low, math.inf if high is None else high
+
+    def allows(self, values: Mapping[str, float]) -> bool:
+        return all(low <= values[name] <= high for name in self.free for low, high in [self.limits(name)])
 
     @property
     def depends_on_speed(self) -> bool:
@@ -306,7 +356,7 @@ class Law:
         )
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.formula}"
+        return f"{self.name}: {self.written}"
 
 
 SIX = {
@@ -388,10 +438,16 @@ def read_law(spec: str, where: str = "--law") -> Law:
                 raise InputError(f"{name!r} is law {number} of the six", where, f"did you mean --laws {number}?")
         do = f'{nearest(name, list(NAMED))}; a law of your own is "NAME: FORMULA", such as "mine: Fs/(1 + s/v)"'
         raise InputError(f"{name!r} is no published law", where, do)
+    formula, semicolon, rate = formula.partition(";")
+    begin = RATE.match(rate)
+    if semicolon and begin is None:
+        do = f"write {STATE}' = and the rate: \"mine: F0 + b*log(z/t0); z' = 1 - s*z/D\""
+        raise InputError(f"no rate of a state {STATE} behind the ;", where, do)
+    formula, rate = formula.strip(), rate[begin.end() :].strip() if begin else ""
     if name in NAMED and formula != NAMED[name].formula:
         what = f"{name} is the name of a published law, {NAMED[name].formula}"
         raise InputError(what, where, "give a law of your own another name")
-    return NAMED.get(name) or Law(name, formula)
+    return NAMED.get(name) or Law(name, formula, rate=rate)
 
 
 DRAWS = 4  # sets of values at which parameters have to be dependent
@@ -425,7 +481,7 @@ def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermine
         drawn = sizes * rng.uniform(0.5, 2.0, sizes.size)
         values = dict(zip(law.free, drawn.tolist(), strict=True)) | dict(law.fix or {})
         try:
-            draws.append(_groups(law.curve.gradient(speeds, values, law.free) * drawn))
+            draws.append(_groups(_effects(law, speeds, values, friction, fastest, rng) * drawn))
         except InputError:
             continue
     everywhere = set.intersection(*(set(groups) for groups in draws)) if draws else set()
@@ -433,6 +489,28 @@ def undetermined(law: Law, friction: float, fastest: float) -> tuple[Undetermine
         Undetermined(tuple(law.free[i] for i in group), min(groups[group] for groups in draws))
         for group in sorted(everywhere)
     )
+
+
+def _effects(law: Law, s: Array, values: dict[str, Any], friction: float, fastest: float, rng: Chance) -> Array:
+    """Return the derivatives of friction, and of the rate at states of any age, by the free parameters."""
+    if not law.rate:
+        return law.curve.gradient(s, values, law.free)
+    size = natural_size(law, STATE, friction, fastest)
+    values[STATE] = size * rng.uniform(0.5, 2.0, s.size - 1)
+    found = []
+    for formula, unit in ((law.curve, friction), (law.state_rate, size * friction / fastest)):
+        own = [name for name in law.free if name in formula.parameters]
+        columns = np.zeros((s.size - 1, len(law.free)))
+        columns[:, [law.free.index(name) for name in own]] = formula.gradient(s[1:], values, tuple(own)) / unit
+        found.append(columns)
+    return np.concatenate(found)
+
+
+def hold_confounded(law: Law, friction: float, fastest: float) -> tuple[tuple[Undetermined, ...], Law]:
+    """Return the groups of `undetermined`, and the law with as many parameters held as have no value of their own."""
+    groups, first = undetermined(law, friction, fastest), law.start or {}
+    names = [name for group in groups for name in group.names[len(group.names) - group.free :]]
+    return groups, law.given(fix={name: first.get(name, natural_size(law, name, friction, fastest)) for name in names})
 
 
 def _groups(columns: Array) -> dict[tuple[int, ...], int]:
@@ -549,7 +627,7 @@ class Competitors:
         named = _each_once([*_read(laws, "--laws"), *map(read_law, law)])
         behind = list(ramp)
         for name in behind:
-            if name in MEMORY:
+            if any(one.rate and one.name == name for one in named):
                 raise InputError(f"law {name} has memory, and no ramp", "--ramp", "leave it out")
             check_known(name, [one.name for one in named if not one.number], "law", "--ramp")
         return cls(

@@ -70,11 +70,14 @@ class _Row:
     parameters: dict[str, Parameter]
     outside_band: BandExit | None
     formula: str | None
+    rate: str  # of the state of a law with memory
 
     @property
     def title(self) -> str:
         """The law in a table."""
-        return f"{self.law} {self.name}" if self.formula is None else f"{self.law}: {self.formula}"
+        if self.formula is None:
+            return f"{self.law} {self.name}"
+        return f"{self.law}: {self.formula}" + (f"; z' = {self.rate}" if self.rate and self.law not in MEMORY else "")
 
     def as_json(self) -> dict[str, Any]:
         of_formula = () if self.formula is None else ("formula", "asked")
@@ -83,7 +86,7 @@ class _Row:
         document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
         document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
         more = {"orbit_distance": "orbit", "cpu_s": "cpu_s", "fitted": "fitted", "reason": "reason"}
-        rate = {"rate": MEMORY[str(self.law)].rate} if self.law in MEMORY else {}
+        rate = {"rate": self.rate} if self.rate else {}
         return document | {key: getattr(self, name) for key, name in more.items()} | rate
 
     def as_form(self) -> dict[str, Any]:
@@ -164,6 +167,11 @@ class LawResult(_Row):
 
     fitted = True
     reason = None
+
+    @property
+    def rate(self) -> str:  # type: ignore[override]
+        """The rate of the state of a law with memory; empty for others."""
+        return self.fit.law.rate
 
     @property
     def label(self) -> str:
@@ -348,6 +356,7 @@ class UnfittedLaw(_Row):
     reason: str
     formula: str | None = None
     asked: bool = True
+    rate: str = ""
     parameters: dict[str, Parameter] = field(default_factory=dict, init=False)
 
     fitted = in_set = False

@@ -241,6 +241,9 @@ def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
         if Global.COMPLIANCE in fit.places and not fit.task.curve.kind:
             what = "no scene: a belt that slows under load is not modelled beside a formula"
             raise DataError(what, "--save-scene", "leave it out")
+        if fit.law.own_memory:
+            what = f"no scene: rig-sim plays no law with a rate of its own, as law {fit.law.name} has"
+            raise DataError(what, "--save-scene", "leave it out, or fit a published law with memory")
         return fit, None
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(

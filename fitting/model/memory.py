@@ -16,15 +16,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from fitting.laws import Law
+from fitting.laws import OF_MEMORY, Law, hold_confounded, natural_size
 from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
 from fitting.model import memory_flow, unknowns
 from fitting.model.curves import FrictionCurve
 from fitting.model.flow import SEARCH_STEP
-from fitting.model.memory_flow import BRISTLES, FC, FS, PARAMETERS, RATE_AND_STATE, SHARED, V_S
+from fitting.model.memory_flow import BRISTLES, P0, PER_WINDOW, RATE_AND_STATE, SHARED
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.problem import EstimationProblem, Run, choose_thinning, cycle_starts
@@ -32,7 +33,8 @@ from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
 from fitting.record.motion import MeasuredMotion
-from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
+from rig_sim.friction import pair
+from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS, PAIR
 from rig_sim.integrate import memory
 from stickslip.compute.arrays import Array, Integers
 from stickslip.compute.compile import compiled
@@ -44,7 +46,7 @@ SEARCH_LOOSER, LOOSER = 30.0, 1.0
 SLOWEST_STEADY = 1e-6  # slip speed over the belt's below which steady friction is constant
 LARGEST_POWER = 300.0  # of an exponential: asinh is its logarithm there
 LOOP_POINTS = 4000  # of a picture
-PER_WINDOW = memory_flow.COLUMNS - memory_flow.OWN  # unknowns of a cycle
+STICK_SPEED = 1e-8  # over the belt's: slip of two formulas below which is a stick, of 1e-8 of the stick's length
 KERNELS = (*memory.MODULES, "rig_sim.flow.modes", memory_flow.__name__)
 
 
@@ -145,10 +147,10 @@ class MemoryModel(Model):
         whole = block.rows == slice(0, self.windows.time.size)
         windows = self.windows if whole else self.windows.of_cycles(np.arange(block.cycles.start, block.cycles.stop))
         p = self._parameters(q)
-        x, derivatives = self._follow(p, local[block.cycles], windows, columns=memory_flow.COLUMNS)
+        x, derivatives = self._follow(p, local[block.cycles], windows, derive=True)
         if x is None or not np.all(np.isfinite(derivatives)):
             return None
-        parts = [derivatives[:, memory_flow.OWN :], np.zeros((len(derivatives), local.shape[1] - PER_WINDOW))]
+        parts = [derivatives[:, -PER_WINDOW:], np.zeros((len(derivatives), local.shape[1] - PER_WINDOW))]
         if places is not None:
             parts = [self._by_places(derivatives, windows, places), self._by_theta(derivatives, q), *parts]
         found = np.hstack(parts)
@@ -164,60 +166,89 @@ class MemoryModel(Model):
 
     def _by_theta(self, derivatives: Array, q: Array) -> Array:
         """Return the derivatives by the logarithms of the law's free parameters."""
-        own = dict(zip(self._names, derivatives[:, len(SHARED) : memory_flow.OWN].T, strict=True))
+        own = dict(zip(self._law_curve.names, derivatives[:, P0:-PER_WINDOW].T, strict=True))
         values = self.task.curve.values(self.task.split(q)[1], q)
-        if "Fs" in own and "Fs" not in values:
+        if self._law_curve.code == BRISTLE and "Fs" not in values:
             own["Fc"] = own["Fc"] + own["Fs"]
         return np.stack([own[name] * values[name] for name in self.task.curve.free], axis=1)
 
     @property
-    def _code(self) -> int:
-        return MEMORY_LAWS[self.task.curve.law.name].code  # type: ignore[union-attr]
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return BRISTLES if self._code == BRISTLE else RATE_AND_STATE
+    def _law_curve(self) -> "MemoryCurve":
+        return self.task.curve  # type: ignore[return-value]
 
     def _parameters(self, q: Array) -> Array:
         u, theta, _ = self.task.split(q)
         values = self.task.curve.values(theta, u)
-        p = np.zeros((len(self.task.problem.runs), len(SHARED) + len(PARAMETERS)))
-        p[:, : len(SHARED)] = u.reshape(-1, PER_RUN)[:, list(SHARED)]
-        p[:, len(SHARED) :] = [values.get(name, 0.0) for name in PARAMETERS]
-        if "Fs" not in values:
-            p[:, FS], p[:, V_S] = p[:, FC], 1.0
-        return p
+        if self._law_curve.code == BRISTLE and "Fs" not in values:
+            values |= {"Fs": values["Fc"], "v_s": 1.0}
+        own = np.tile([values[name] for name in self._law_curve.names], (len(self.task.problem.runs), 1))
+        return np.hstack([u.reshape(-1, PER_RUN)[:, list(SHARED)], own])
 
-    def _follow(self, p: Array, local: Array, windows: ShootingWindows, columns: int = 0) -> tuple[Array | None, Array]:
-        """Return positions, velocities, friction (3, n) and so many derivatives of the positions; None where lost."""
+    def _follow(
+        self, p: Array, local: Array, windows: ShootingWindows, *, derive: bool = False
+    ) -> tuple[Array | None, Array]:
+        """Return positions, velocities, friction (3, n), None where lost, and the derivatives of the positions."""
         motions, x = self.task.problem.motions, np.empty((3, windows.time.size))
         looser = SEARCH_LOOSER if self.longest_step == SEARCH_STEP else LOOSER
         scale = np.array([(MEMORY_LENGTH * own.travel, TOLERANCE * own.travel, looser) for own in motions])
-        derivatives, work = np.empty((windows.time.size, columns)), np.empty((4, memory_flow.COLUMNS, 3))
+        columns = p.shape[1] + PER_WINDOW
+        derivatives, work = np.empty((windows.time.size, columns * derive)), np.empty((4, columns, 3))
         follow = compiled(memory_flow.follow_windows, KERNELS, _nrt=False)
         with np.errstate(all="ignore"):
-            done = follow(self._code, p, local.copy(), windows.table, scale, windows.time, x, derivatives, work)
+            own = self._law_curve.code, p, local.copy(), windows.table, scale, windows.time, x, derivatives, work
+            done = follow(*own, self._law_curve.formulas)
         return x if done and np.all(np.isfinite(x)) else None, derivatives
 
 
+class Sizes(NamedTuple):
+    """Sizes in a run: of friction (m/s^2), of the fastest slip and of the belt's speed (m/s)."""
+
+    friction: float
+    speed: float
+    belt: float
+
+    @classmethod
+    def of(cls, problem: MemoryProblem) -> "Sizes":
+        motion, p = problem.motions[0], unknowns.values(problem.start[:PER_RUN])
+        return cls(float(p.F), float(np.max(motion.belt_speed - motion.velocity)), float(p.v_dr))
+
+
+def encode(law: Law, sizes: Sizes) -> Array:
+    """Return the formulas of a law of one's own for kernels; its steady state is sought from a state of its unit."""
+    seed = natural_size(law, pair.STATE, sizes.friction, sizes.speed)
+    return pair.encode(law.curve, law.state_rate, law.parameters, STICK_SPEED * sizes.belt, seed)
+
+
 class MemoryCurve(FrictionCurve):
-    """A law with memory; theta are the logarithms of its free parameters."""
+    """A law with memory; theta are the logarithms of its free parameters, each with the sign of its first value."""
 
     law: Law
     ramp = False
     model = MemoryModel
 
-    def __init__(self, law: Law, start: dict[str, float]) -> None:
-        self.law, self.fixed, self.free = law, dict(law.fix or {}), law.free
-        self.size, self.by_log = len(self.free), np.ones(len(self.free), np.bool_)
+    def __init__(self, law: Law, start: dict[str, float], sizes: Sizes) -> None:
+        self.code, self.names, self.formulas = PAIR, law.parameters, None
+        if law.name in OF_MEMORY:
+            self.code = MEMORY_LAWS[law.name].code
+            self.names = BRISTLES if self.code == BRISTLE else RATE_AND_STATE
+            fitted = law
+        else:
+            self.together, fitted = hold_confounded(law, sizes.friction, sizes.speed)
+            self.formulas = encode(law, sizes)
+        self.law, self.fixed, self.free = law, dict(fitted.fix or {}), fitted.free
+        self.size = len(self.free)
         self.prior = self.precision = np.zeros(self.size)
-        low, high = np.array([law.limits(name) for name in self.free]).reshape(-1, 2).T
+        self.by_log = np.ones(self.size, np.bool_)
+        own = np.array([start[name] for name in self.free])
+        self.sign = np.where(own < 0.0, -1.0, 1.0)
+        ends = self.sign * np.array([law.limits(name) for name in self.free]).reshape(-1, 2).T
         with np.errstate(divide="ignore", invalid="ignore"):
-            self.lower, self.upper = np.log(np.maximum(low, 0.0)), np.log(high)
-        self.start = np.log([start[name] for name in self.free])
+            self.lower, self.upper = np.log(np.maximum(ends.min(axis=0), 0.0)), np.log(ends.max(axis=0))
+            self.start = np.log(np.abs(own))
 
     def values(self, theta: Array, u: Array) -> dict[str, float]:
-        return self.fixed | dict(zip(self.free, np.exp(np.clip(theta, -700.0, 700.0)).tolist(), strict=True))
+        values = self.sign * np.exp(np.clip(theta, -700.0, 700.0))
+        return self.fixed | dict(zip(self.free, values.tolist(), strict=True))
 
     def on_path(self, theta: Array, beside: Array) -> None:
         """Return None: its motion is stiff, and followed by `MemoryModel` alone."""
@@ -228,6 +259,11 @@ class MemoryCurve(FrictionCurve):
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
         """Return the friction of steady slip, of rate and state in the regularised form of the simulator."""
         speed, own = np.maximum(s, SLOWEST_STEADY * float(u[Global.V_DR])), self.values(theta, u)
+        if self.code == PAIR:
+            found, values = np.empty(speed.shape), np.array([own[name] for name in self.names])
+            follow = compiled(pair.steady_friction, (pair.__name__,), _nrt=False)
+            follow(self.formulas, values, speed.ravel(), found.ravel())
+            return found
         if "a" not in own:
             return self.law.curve.value(speed, own)
         power = np.log(speed / (2.0 * own["v0"])) + (own["F0"] + own["b"] * np.log(own["v0"] / speed)) / own["a"]
@@ -238,7 +274,7 @@ class MemoryCurve(FrictionCurve):
 def memory_task(law: Law, problem: MemoryProblem, start: dict[str, float]) -> Task:
     """Return the task of a law with memory, from first values of its parameters."""
     places = tuple(place for place in problem.active if place % PER_RUN in SHARED)
-    return Task(problem, MemoryCurve(law, start | dict(law.start or {})), places)
+    return Task(problem, MemoryCurve(law, start | dict(law.start or {}), Sizes.of(problem)), places)
 
 
 def warm_start(task: Task, u: Array) -> FitStart:

@@ -7,7 +7,7 @@ With the rates f of a state u and their Jacobian J, derivatives d by an unknown 
 method Radau IIA of two stages, of order 3 and L-stable, over the same steps.  At a landing they change by what the two
 levels' rates differ, times how much later it comes.
 
-Columns of the derivatives: `SHARED`, the five parameters of the law, and the unknowns of a cycle.
+Columns of the derivatives: `SHARED`, the n parameters of the law, and the five unknowns of a cycle.
 """
 
 import math
@@ -25,8 +25,10 @@ from rig_sim.flow.memory import (
     rates,
     second_variable,
     slip,
+    smooth_speed,
 )
-from rig_sim.friction.memory import AGEING, BRISTLE
+from rig_sim.friction.memory import AGEING, BRISTLE, PAIR, SLIP
+from rig_sim.friction.pair import STICK_SPEED, at, evaluate, set_parameters, steady_state
 from rig_sim.integrate.memory import TRIALS, event_share, motion_within, relative_error, rosenbrock_step
 from stickslip.compute.arrays import Array, Integers
 
@@ -39,84 +41,67 @@ LANDING_STEPS = 3  # Newton steps to the end of the step that lands
 DIFFERENCE, LEAST_SIZE = 1e-6, 1e-3  # of an unknown over its size, where a window begins; and the least size
 SHARED = (Global.K, Global.V_DR, Global.DATUM, Global.DAMPING)
 BRISTLES, RATE_AND_STATE = ("s0", "s1", "Fc", "Fs", "v_s"), ("F0", "a", "b", "D", "v0")
-PARAMETERS = (*BRISTLES, *RATE_AND_STATE)
-K, V_DR, DATUM, DAMPING = range(4)  # columns, those of the law's parameters, and the first of a cycle's own
-P0, P1, P2, P3, P4, OWN = range(4, 10)
+K, V_DR, DATUM, DAMPING = range(4)  # columns
+P0, P1, P2, P3, P4 = range(4, 9)  # columns of the law's parameters
 X, V, LEVEL, NEXT_LEVEL, MEMORY = (int(column) for column in tuple(PerCycle)[:5])
-COLUMNS = OWN + 5
-S0, FC, FS, V_S, V0 = (len(SHARED) + PARAMETERS.index(name) for name in ("s0", "Fc", "Fs", "v_s", "v0"))
+PER_WINDOW = 5  # unknowns of a cycle, the last columns
 Matrix = tuple[Vector, Vector, Vector]
 
 
-def flow_of(law: int, p: Array, level: float, tolerance: float) -> MemoryFlow:
-    """Return the flow of `SHARED` and `PARAMETERS` p (14,), per unit mass, at the log of a friction level."""
-    return MemoryFlow(
-        1.0,
-        p[0],
-        p[2],
-        p[3],
-        p[1],
-        math.exp(level),
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        law,
-        LANDING * p[1],
-        tolerance,
-        p[4],
-        p[5],
-        0.0,
-        p[6],
-        p[7],
-        p[8],
-        p[9],
-        p[10],
-        p[11],
-        p[12],
-        p[13],
-    )
-
-
-def steady_memory(law: int, p: Array, level: float, e: float) -> float:
-    """Return the memory of steady slip at a speed e > 0 (m/s)."""
+def flow_of(law: int, p: Array, level: float, tolerance: float, formulas: Array | None) -> MemoryFlow:
+    """Return the flow of p, `SHARED` and the law's parameters, per unit mass, at the log of a friction level."""
+    s0 = s1 = Fc = Fs = F0 = a = b = D = v0 = 0.0
+    v_s = 1.0
     if law == BRISTLE:
-        g = p[FC] + (p[FS] - p[FC]) * math.exp(-((e / p[V_S]) ** 2))
-        return math.exp(level) * float(g / p[S0])
-    return math.log(p[V0] / e)
+        s0, s1, Fc, Fs, v_s = p[P0], p[P1], p[P2], p[P3], p[P4]
+    elif law == PAIR:
+        set_parameters(formulas, p, P0)
+        v0 = at(formulas, STICK_SPEED)
+    else:
+        F0, a, b, D, v0 = p[P0], p[P1], p[P2], p[P3], p[P4]
+    edge, factor = LANDING * p[V_DR], math.exp(level)
+    shared = (1.0, p[K], p[DATUM], p[DAMPING], p[V_DR], factor, 0.0, 0.0, 0.0, 0.0, law, edge, tolerance, formulas)
+    return MemoryFlow(*shared, s0, s1, 0.0, Fc, Fs, v_s, F0, a, b, D, v0)
 
 
-def first_state(law: int, p: Array, own: Array, spread: float) -> Vector:
+def steady_memory(flow: MemoryFlow, e: float) -> float:
+    """Return the memory of steady slip at a speed e > 0 (m/s)."""
+    if flow.law == BRISTLE:
+        g = flow.Fc + (flow.Fs - flow.Fc) * math.exp(-((e / flow.v_s) ** 2))
+        return flow.factor * float(g / flow.s0)
+    return steady_state(flow.formulas, e) if flow.law == PAIR else math.log(flow.v0 / e)
+
+
+def first_state(law: int, p: Array, own: Array, spread: float, formulas: Array | None) -> Vector:
     """Return the state at which a window begins, of the unknowns of its cycle ``own``."""
-    flow, v = flow_of(law, p, own[LEVEL], 0.0), own[V]
-    z = steady_memory(law, p, own[LEVEL], max(p[1] - v, 1e-6 * p[1]))
+    flow, v = flow_of(law, p, own[LEVEL], 0.0, formulas), own[V]
+    z = steady_memory(flow, max(p[V_DR] - v, 1e-6 * p[V_DR]))
     change = own[MEMORY] / spread
-    z = z * math.exp(change) if law == BRISTLE else z + change
-    return own[X], second_variable(flow, v - p[1], z), z
+    z = z + change if law == AGEING or law == SLIP else z * math.exp(change)
+    return own[X], second_variable(flow, v - p[V_DR], z), z
 
 
-def first_derivatives(law: int, p: Array, own: Array, spread: float, d: Array) -> None:
-    """Set d (COLUMNS, 3) to the derivatives of `first_state`, by differences."""
-    u = first_state(law, p, own, spread)
-    for j in range(COLUMNS):
-        unknowns = own if j >= OWN else p
-        place = j - OWN if j >= OWN else j if j < P0 or law == BRISTLE else j + len(BRISTLES)
+def first_derivatives(law: int, p: Array, own: Array, spread: float, d: Array, formulas: Array | None) -> None:
+    """Set d to the derivatives of `first_state`, by differences."""
+    u = first_state(law, p, own, spread, formulas)
+    for j in range(d.shape[0]):
+        unknowns, place = (own, j - p.size) if j >= p.size else (p, j)
         held = unknowns[place]
         size = DIFFERENCE * max(abs(held), LEAST_SIZE)
         unknowns[place] = held + size
-        there = first_state(law, p, own, spread)
+        there = first_state(law, p, own, spread, formulas)
         unknowns[place] = held
         for i in range(3):
             d[j, i] = (there[i] - u[i]) / size
 
 
 def explicit_derivatives(flow: MemoryFlow, state: Vector, landed: bool, f: Array) -> None:
-    """Set f (COLUMNS, 3) to the derivatives of the rates of a state by the unknowns."""
+    """Set f (n, 3) to the derivatives of the rates of a state by the unknowns."""
     x, y, z = state
     e, e_y, _ = slip(flow, y, z)
     dz, z_e, _ = memory_rate(flow, e, z)
-    level = OWN + (NEXT_LEVEL if landed else LEVEL)
-    for j in range(COLUMNS):
+    level = f.shape[0] - PER_WINDOW + (NEXT_LEVEL if landed else LEVEL)
+    for j in range(f.shape[0]):
         f[j, 0] = f[j, 1] = f[j, 2] = 0.0
     f[K, 1] = (x - flow.x0) / e_y
     f[V_DR, 0], f[V_DR, 1] = 1.0, flow.c / e_y
@@ -137,6 +122,15 @@ def explicit_derivatives(flow: MemoryFlow, state: Vector, landed: bool, f: Array
             f[j, 1] = flow.s1 * f[j, 2]
         f[P0, 1] += z
         f[P1, 1] = dz
+        return
+    if flow.law == PAIR:
+        s, share, count = smooth_speed(flow, e), flow.factor * math.tanh(y) / e_y, f.shape[0] - PER_WINDOW - P0
+        friction = evaluate(flow.formulas, False, s, z, 3 + count)
+        rate = evaluate(flow.formulas, True, s, z, 3 + count)
+        for j in range(count):
+            f[P0 + j, 1] = -share * at(flow.formulas, friction + 3 + j)
+            f[P0 + j, 2] = at(flow.formulas, rate + 3 + j)
+        f[level, 1] = -share * at(flow.formulas, friction)
         return
     ratio, share = flow.b / flow.a, e / e_y
     pull = net_acceleration(flow, 0.0, state, e, dz) / e_y
@@ -180,7 +174,7 @@ def times(matrix: Matrix, x: float, y: float, z: float) -> Vector:
 def follow_derivatives(
     flow: MemoryFlow, t: float, h: float, u: Vector, after: Vector, landed: bool, d: Array, f: Array, speed: Array
 ) -> None:
-    """Follow d (COLUMNS, 3) over a step h; set column 1 of ``speed`` (COLUMNS, 2) to those of the velocity there."""
+    """Follow d (n, 3) over a step h; set column 1 of ``speed`` (n, 3) to those of the velocity there."""
     third, _ = rosenbrock_step(flow, t, u, h / 3.0)
     early, late = jacobian(flow, t, third), jacobian(flow, t, after)
     explicit_derivatives(flow, third, landed, f[0])
@@ -188,7 +182,7 @@ def follow_derivatives(
     nothing = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     first = inverse(1.5 / h, early, nothing, 0.0)
     last = inverse(2.5 / h, late, first, 2.25 / (h * h))
-    for j in range(COLUMNS):
+    for j in range(d.shape[0]):
         x, y, z = d[j, 0], d[j, 1], d[j, 2]
         a, b, c = times(early, x, y, z)
         a, b, c = times(first, a + f[0, j, 0], b + f[0, j, 1], c + f[0, j, 2])
@@ -203,14 +197,14 @@ def set_speed(flow: MemoryFlow, u: Vector, landed: bool, d: Array, f: Array, spe
     """Set column 0 of ``speed`` to the derivatives of the velocity of a state."""
     explicit_derivatives(flow, u, landed, f[1])
     row = jacobian(flow, 0.0, u)[0]
-    for j in range(COLUMNS):
+    for j in range(d.shape[0]):
         speed[j, 0] = row[1] * d[j, 1] + row[2] * d[j, 2] + f[1, j, 0]
 
 
 def land(flow: MemoryFlow, other: MemoryFlow, t: float, u: Vector, a: float, d: Array, speed: Array) -> None:
     """Change d where a landing at an acceleration a leads from one level to an ``other``."""
     before, after = rates(flow, t, u), rates(other, t, u)
-    for j in range(COLUMNS):
+    for j in range(d.shape[0]):
         later = ((1.0 - LANDING if j == V_DR else 0.0) - speed[j, 1]) / a
         for i in range(3):
             d[j, i] += (before[i] - after[i]) * later
@@ -241,21 +235,21 @@ def creep_derivatives(flow: MemoryFlow, z: float, h: float, d: Array) -> None:
     d[V_DR, 0] += h
     d[P3, 2] -= growth / flow.D
     d[P4, 2] += growth / flow.v0
-    for j in range(COLUMNS):
+    for j in range(d.shape[0]):
         d[j, 2] /= 1.0 + growth
 
 
 def balance_derivatives(flow: MemoryFlow, u: Vector, landed: bool, d: Array) -> None:
     """Set the derivatives of y to those of `balanced`."""
     load = flow.factor * flow.a
-    for j in range(COLUMNS):
+    for j in range(d.shape[0]):
         d[j, 1] = flow.k * d[j, 0] / load
     d[K, 1] += (u[0] - flow.x0) / load
     d[V_DR, 1] += flow.c / load
     d[DATUM, 1] -= flow.k / load
     d[DAMPING, 1] += flow.v_belt / load
     d[P1, 1] -= u[1] / flow.a
-    d[OWN + (NEXT_LEVEL if landed else LEVEL), 1] -= u[1]
+    d[d.shape[0] - PER_WINDOW + (NEXT_LEVEL if landed else LEVEL), 1] -= u[1]
 
 
 def store(flow: MemoryFlow, motion: Vector, x: Array, i: int) -> None:
@@ -265,21 +259,24 @@ def store(flow: MemoryFlow, motion: Vector, x: Array, i: int) -> None:
     x[2, i] = (a + flow.c * v + flow.k * (position - flow.x0)) / flow.factor
 
 
-def follow_window(law: int, p: Array, own: Array, scale: Array, time: Array, x: Array, dx: Array, work: Array) -> bool:
+def follow_window(
+    law: int, p: Array, own: Array, scale: Array, time: Array, x: Array, dx: Array, work: Array, formulas: Array | None
+) -> bool:
     """Follow one window to x (3, n) at ``time`` (n,), s; return whether that is possible.
 
     ``scale`` are the spread of the memory, the tolerance, and the error of a step over that of the simulator.
-    Rows of x are position, velocity, and friction over its level; ``dx`` (n, COLUMNS) are the derivatives of the
-    positions, or empty; ``work`` (4, COLUMNS, 3) is overwritten.
+    Rows of x are position, velocity, and friction over its level; ``dx`` are the derivatives (n, columns) of
+    the positions, or empty; ``work`` (4, columns, 3) is overwritten; ``formulas`` is that of `rig_sim.friction.pair`.
     """
     d, f, speed = work[0], work[1:3], work[3]
     spread, tolerance, looser = scale[0], scale[1], scale[2]
-    flow = flow_of(law, p, own[LEVEL], tolerance)
-    u = first_state(law, p, own, spread)
-    start = motion_of(flow, 0.0, u)
     derive, landed, creeping = dx.size > 0, False, False
     if derive:
-        first_derivatives(law, p, own, spread, d)
+        first_derivatives(law, p, own, spread, d, formulas)
+    u = first_state(law, p, own, spread, formulas)
+    flow = flow_of(law, p, own[LEVEL], tolerance, formulas)
+    start = motion_of(flow, 0.0, u)
+    if derive:
         set_speed(flow, u, landed, d, f, speed)
     t, end = time[0], time[time.size - 1]
     step = FIRST_STEP / math.sqrt(p[0])
@@ -301,7 +298,7 @@ def follow_window(law: int, p: Array, own: Array, scale: Array, time: Array, x: 
         if creeping:
             while i < time.size and time[i] <= t + h:
                 store(flow, (u[0] + p[1] * (time[i] - t), p[1], 0.0), x, i)
-                for j in range(COLUMNS if derive else 0):
+                for j in range(d.shape[0] if derive else 0):
                     dx[i, j] = d[j, 0]
                 if derive:
                     dx[i, V_DR] += time[i] - t
@@ -342,45 +339,56 @@ def follow_window(law: int, p: Array, own: Array, scale: Array, time: Array, x: 
             store(flow, motion_within(flow, h, (time[i] - t) / h, start, stop), x, i)
             i += 1
         if derive:
-            for j in range(COLUMNS):
+            for j in range(d.shape[0]):
                 speed[j, 2] = d[j, 0]
             follow_derivatives(flow, t, h, u, after, landed, d, f, speed)
             for k in range(first, i):
                 s = (time[k] - t) / h
                 r = 1.0 - s
-                for j in range(COLUMNS):
+                for j in range(d.shape[0]):
                     bent = h * (r * speed[j, 0] - s * speed[j, 1])
                     ends = r * r * (1.0 + 2.0 * s) * speed[j, 2] + s * s * (1.0 + 2.0 * r) * d[j, 0]
                     dx[k, j] = ends + s * r * bent
-            for j in range(COLUMNS):
+            for j in range(d.shape[0]):
                 speed[j, 0] = speed[j, 1]
         t = end if h == end - t else t + h
         u, start = after, stop
         if lands:
             landed, before = True, flow
-            flow = flow_of(law, p, own[NEXT_LEVEL], tolerance)
+            flow = flow_of(law, p, own[NEXT_LEVEL], tolerance, formulas)
             start = motion_of(flow, t, u)
             if derive:
                 land(before, flow, t, u, stop[2], d, speed)
                 set_speed(flow, u, landed, d, f, speed)
-        if law != BRISTLE and p[1] - start[1] < CREEP_BEGINS * p[1]:
+        if (law == AGEING or law == SLIP) and p[1] - start[1] < CREEP_BEGINS * p[1]:
             creeping = creep(flow, u, SHORTEST_CREEP / math.sqrt(p[0]), CREEP_ENDS) != u
         n += 1
     while i < time.size:
         store(flow, (start[0] + start[1] * (time[i] - t), start[1], start[2]), x, i)
-        for j in range(COLUMNS if derive else 0):
+        for j in range(d.shape[0] if derive else 0):
             dx[i, j] = d[j, 0] + speed[j, 0] * (time[i] - t)
         i += 1
     return True
 
 
 def follow_windows(
-    law: int, p: Array, local: Array, table: Integers, scale: Array, time: Array, x: Array, dx: Array, work: Array
+    law: int,
+    p: Array,
+    local: Array,
+    table: Integers,
+    scale: Array,
+    time: Array,
+    x: Array,
+    dx: Array,
+    work: Array,
+    formulas: Array | None,
 ) -> bool:
-    """Follow windows (w, 6) of runs with parameters p (runs, 14) and ``scale`` (runs, 3)."""
+    """Follow windows (w, 6) of runs with `SHARED` and the law's parameters p (runs, 4 + n) and ``scale`` (runs, 3)."""
     for w in range(table.shape[0]):
         run, begin, stop = table[w, 5], table[w, 2], table[w, 2] + table[w, 3]
         own = dx[begin:stop] if dx.size > 0 else dx
-        if not follow_window(law, p[run], local[w], scale[run], time[begin:stop], x[:, begin:stop], own, work):
+        if not follow_window(
+            law, p[run], local[w], scale[run], time[begin:stop], x[:, begin:stop], own, work, formulas
+        ):
             return False
     return True

@@ -146,6 +146,8 @@ def formula(law: Law) -> str:
 
 def typeset(law: Law) -> tuple[str, str]:
     """Return the curve of a law as MathML, and its contact in plain text."""
+    if law.own_memory:
+        return typeset_formula(law.formula), _contact(law, "f(s, z)", "")
     return typeset_formula(law.formula), _contact(law, "f(s)", "f(0)")
 
 
@@ -153,7 +155,8 @@ def _contact(law: Law, curve: str, at_rest: str) -> str:
     if law.ramp:
         level = "Fs" if law.number else at_rest
         return f"F = -{level} w/d for |w| <= d, else -sign(w) {curve} with s = |w| - d"
-    return f"F = -sign(w) {curve} with s = |w|"
+    state = f", z' = {law.rate}" if law.own_memory else ""
+    return f"F = -sign(w) {curve} with s = |w|{state}"
 
 
 def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:

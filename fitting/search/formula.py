@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.laws import Law, natural_size, undetermined
+from fitting.laws import Law, hold_confounded, natural_size
 from fitting.model.curves import FrictionCurve
 from fitting.model.path import Curve, FrictionSpline, Path, spline_curve
 from fitting.model.tangents import friction_effect, shared_tangents, tangents
@@ -281,11 +281,7 @@ class FormulaCurve(FrictionCurve):
 
     def __init__(self, law: Law, fastest: float, target: Target) -> None:
         self.law, self.fastest, self.ramp = law, fastest, law.ramp
-        self.together = undetermined(law, target.size, float(target.speeds[-1]))
-        first = law.start or {}
-        confounded = [name for group in self.together for name in group.names[len(group.names) - group.free :]]
-        sizes = {name: natural_size(law, name, target.size, float(target.speeds[-1])) for name in confounded}
-        fitted = law.given(fix={name: first.get(name, size) for name, size in sizes.items()})
+        self.together, fitted = hold_confounded(law, target.size, float(target.speeds[-1]))
         self.fixed, self.free, self.size = fitted.fix or {}, fitted.free, len(fitted.free)
         search = StartSearch(fitted, target, fastest)
         self.by_log = np.array([search.bends[name] and law.limits(name)[0] >= 0.0 for name in self.free], np.bool_)

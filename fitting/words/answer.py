@@ -254,7 +254,7 @@ def _side(
         records=(record,),
         alpha=options.alpha,
         unfitted=tuple(
-            UnfittedLaw(law.key, law.words, reason, None if law.number else law.formula, asked)
+            UnfittedLaw(law.key, law.words, reason, None if law.number else law.formula, asked, law.rate)
             for law, reason, asked in competition.unfitted
         ),
         not_excluded=tuple(law.key for law in competition.not_excluded),

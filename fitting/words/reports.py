@@ -7,7 +7,7 @@ LEAST_CORRELATION = 0.1  # listed, as in lmfit
 
 def fit_report(ranking: Ranking) -> str:
     best = ranking.best
-    lines = ["[[Model]]", f"    {best.called}, F = {best.fit.law.formula}", "[[Fit Statistics]]"]
+    lines = ["[[Model]]", f"    {best.called}, F = {best.fit.law.written}", "[[Fit Statistics]]"]
     numbers = {
         "data points": best.fit.residual.size,
         "cycles": best.cycles,

@@ -111,7 +111,7 @@ def _of_six(ranking: Ranking) -> list[str]:
 
 def _with_parameters(row: LawResult, remark: str = "") -> str:
     law = row.fit.law
-    curve = law.formula.replace("*", " ") if law.number else law.formula
+    curve = law.formula.replace("*", " ") if law.number else law.written
     return f"{row.called}{remark}, F = {curve}" + (f": {row.shown}" if row.shown else "")
 
 

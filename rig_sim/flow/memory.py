@@ -8,13 +8,20 @@ A state is (x, y, z).  Of bristles y = w = x' - v_belt.  Of rate and state y = F
 
 keeps its relative accuracy in a stick, where it falls to 1e-20 v0 and less, and passes through 0 smoothly where the
 slip reverses.  There y follows the load at a rate of L a/(m e); no event has to be located.
+
+Of two formulas (`rig_sim.friction.pair`) F = L f(s, z) tanh y with e = 2 v0 sinh y and s = 2 v0 cosh y, where v0 is a
+speed so low that slip is then a stick; where f is not above 0, there is no motion.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from rig_sim.flow.flow import Flow
-from rig_sim.friction.memory import AGEING, BRISTLE
+from rig_sim.friction.memory import AGEING, BRISTLE, PAIR
+from rig_sim.friction.pair import at, evaluate
+
+if TYPE_CHECKING:
+    from stickslip.compute.arrays import Array
 
 Vector = tuple[float, float, float]
 
@@ -38,9 +45,10 @@ class MemoryFlow(NamedTuple):
     omega: float  # rad/s
     phase: float  # rad
     droop: float  # m/s; 0: a compliant belt is not modelled
-    law: int  # BRISTLE, AGEING or SLIP
+    law: int  # BRISTLE, AGEING, SLIP or PAIR
     edge: float  # slip speed of a landing, m/s, above 0
     tolerance: float  # error of the position that a step may make, m
+    formulas: "Array | None"  # of `rig_sim.friction.pair`
     s0: float = 0.0  # N/m
     s1: float = 0.0  # N s/m
     s2: float = 0.0  # N s/m
@@ -59,7 +67,8 @@ def make_memory_flow(flow: Flow, law: int, speed: float, parameters: dict[str, f
     values = {"Fs": parameters.get("Fc", 0.0), **parameters}
     reach = max(values["Fs"], values.get("F0", 0.0)) / flow.k + abs(speed) * math.sqrt(flow.m / flow.k)
     shared = {name: getattr(flow, name) for name in MemoryFlow._fields[:10]}
-    return MemoryFlow(**shared, law=law, edge=LANDING * abs(speed), tolerance=RELATIVE_TOLERANCE * reach, **values)
+    edge, tolerance = LANDING * abs(speed), RELATIVE_TOLERANCE * reach
+    return MemoryFlow(**shared, law=law, edge=edge, tolerance=tolerance, formulas=None, **values)
 
 
 def drive(flow: MemoryFlow, t: float) -> float:
@@ -71,6 +80,9 @@ def slip(flow: MemoryFlow, y: float, z: float) -> Vector:
     """Return the slip speed e (m/s), and its derivatives by y and by z."""
     if flow.law == BRISTLE:
         return -y, -1.0, 0.0
+    if flow.law == PAIR:
+        size = min(max(y, -FASTEST), FASTEST)
+        return 2.0 * flow.v0 * math.sinh(size), 2.0 * flow.v0 * math.cosh(size), 0.0
     ratio = flow.b / flow.a
     q = flow.F0 / flow.a + ratio * z
     forwards = flow.v0 * math.exp(min(max(y - q, SLOWEST), FASTEST))
@@ -83,9 +95,28 @@ def second_variable(flow: MemoryFlow, w: float, z: float) -> float:
     """Return y of a relative velocity (m/s) and a memory."""
     if flow.law == BRISTLE or w == 0.0:
         return w
+    if flow.law == PAIR:
+        return -math.asinh(0.5 * w / flow.v0)
     load = math.log(abs(w) / flow.v0) + (flow.F0 + flow.b * z) / flow.a
     size = load if load > 30.0 else math.asinh(0.5 * math.exp(load))
     return -size if w > 0.0 else size
+
+
+def smooth_speed(flow: MemoryFlow, e: float) -> float:
+    return math.sqrt(e * e + 4.0 * flow.v0 * flow.v0)
+
+
+def friction_of_pair(flow: MemoryFlow, state: Vector, e: float) -> Vector:
+    """Return the friction (N) of two formulas, and its derivatives by y and by z."""
+    _, y, z = state
+    s = smooth_speed(flow, e)
+    place = evaluate(flow.formulas, False, s, z, 3)
+    f, by_s, by_z = at(flow.formulas, place), at(flow.formulas, place + 1), at(flow.formulas, place + 2)
+    sign = math.tanh(y)
+    if not f > 0.0:
+        f = math.nan
+    by_y = by_s * e * sign + f * (1.0 - sign) * (1.0 + sign)
+    return flow.factor * f * sign, flow.factor * by_y, flow.factor * by_z * sign
 
 
 def memory_rate(flow: MemoryFlow, e: float, z: float) -> Vector:
@@ -98,6 +129,10 @@ def memory_rate(flow: MemoryFlow, e: float, z: float) -> Vector:
         g = flow.factor * flow.Fc + fall
         by_e = 1.0 - flow.s0 * z * (sign + 2.0 * s * u / flow.v_s * fall / g) / g
         return e - flow.s0 * s * z / g, by_e, -flow.s0 * s / g
+    if flow.law == PAIR:
+        speed = smooth_speed(flow, e)
+        place = evaluate(flow.formulas, True, speed, z, 3)
+        return at(flow.formulas, place), at(flow.formulas, place + 1) * e / speed, at(flow.formulas, place + 2)
     if flow.law == AGEING:
         growth = flow.v0 * math.exp(min(-z, FASTEST)) / flow.D
         return growth - s / flow.D, -sign / flow.D, -growth
@@ -110,7 +145,12 @@ def memory_rate(flow: MemoryFlow, e: float, z: float) -> Vector:
 def net_acceleration(flow: MemoryFlow, t: float, state: Vector, e: float, dz: float) -> float:
     """Return x'' (m/s^2) where e and z' are known."""
     x, y, z = state
-    F = flow.s0 * z + flow.s1 * dz + flow.s2 * e if flow.law == BRISTLE else flow.factor * flow.a * y
+    if flow.law == BRISTLE:
+        F = flow.s0 * z + flow.s1 * dz + flow.s2 * e
+    elif flow.law == PAIR:
+        F = friction_of_pair(flow, state, e)[0]
+    else:
+        F = flow.factor * flow.a * y
     return (F - flow.k * (x - flow.x0) - flow.c * (flow.v_belt - e) + drive(flow, t)) / flow.m
 
 
@@ -138,6 +178,9 @@ def jacobian(flow: MemoryFlow, t: float, state: Vector) -> tuple[Vector, Vector,
     if flow.law == BRISTLE:
         F_y, F_z = flow.s1 * z_y + flow.s2 * e_y, flow.s0 + flow.s1 * z_z
         ratio = bend = 0.0
+    elif flow.law == PAIR:
+        _, F_y, F_z = friction_of_pair(flow, state, e)
+        ratio, bend = 0.0, e / e_y
     else:
         F_y, F_z = flow.factor * flow.a, 0.0
         ratio, bend = flow.b / flow.a, e / e_y  # bend: e_yy/e_y

@@ -43,7 +43,7 @@ INSTEAD = {
     "[": "use round brackets",
     "{": "use round brackets",
     ".": "write a name of letters, digits and _",
-    ";": "write one curve of s; only the published laws with memory, such as lugre, have the rate of a state",
+    ";": "write one curve of s; behind a ; a law of --law has the rate of a state, z' = ...",
 }
 # Letters that look like a plain one; Unicode's compatibility forms (NFKC) make plain only others, as full-width ones.
 LOOK_ALIKES = str.maketrans(
@@ -101,7 +101,8 @@ class Formula:
     def value(self, s: "Array | float", parameters: Mapping[str, float]) -> "Array":
         """Return the curve at slip speeds ``s`` (m/s), in their shape and in the unit that the parameters give it.
 
-        ``parameters`` has a value for each of ``self.parameters``; others are ignored.  Raises InputError where one is
+        ``parameters`` has a value, or an array in the shape of ``s``, for each of ``self.parameters``; others are
+        ignored.  Raises InputError where one is
         missing, or the curve is not finite, with the slip speed, the parameters and the failed operation.
         """
         return self._evaluate(s, parameters, ())[0]
@@ -132,7 +133,7 @@ class Formula:
         if missing:
             raise InputError(f"has no value for {', '.join(missing)}", f"formula {self.text!r}", "give one for each")
         speeds = np.asarray(s, dtype=np.float64)
-        variables = {SPEED: speeds} | {name: np.asarray(float(parameters[name])) for name in self.parameters}
+        variables = {SPEED: speeds} | {name: np.asarray(parameters[name], np.float64) for name in self.parameters}
         with np.errstate(all="ignore"):
             value, slopes = self._run_steps(variables, by)[-1]
         values = np.broadcast_to(value, speeds.shape).copy()
@@ -171,6 +172,9 @@ class Formula:
         if not wrong.size:
             return
         speed = float(speeds.ravel()[wrong[0]])
+        parameters = {
+            name: float(np.broadcast_to(parameters[name], speeds.shape).ravel()[wrong[0]]) for name in self.parameters
+        }
         position = self.place(speed, parameters)
         if variable:
             problem = f"the derivative by {variable} is not finite {position}"

@@ -17,7 +17,7 @@ K. Ranjith, J. Mech. Phys. Solids 49 (2001) 1865.
 
 from dataclasses import dataclass
 
-BRISTLE, AGEING, SLIP = 0, 1, 2  # codes of the kernels
+BRISTLE, AGEING, SLIP, PAIR = range(4)  # codes of the kernels; the last is a law of two formulas
 
 
 @dataclass(frozen=True)

@@ -25,19 +25,24 @@ from rig_sim.flow.memory import (
     rates,
     second_variable,
     slip,
+    smooth_speed,
 )
-from rig_sim.friction.memory import BRISTLE
+from rig_sim.friction.memory import BRISTLE, PAIR
+from rig_sim.friction.pair import at, evaluate
 from rig_sim.integrate.phases import Samples, State
 from rig_sim.integrate.work import new_record, unboxed
 
-MODULES = ("rig_sim.friction.memory", "rig_sim.flow.memory", "rig_sim.integrate.memory")
+MODULES = ("rig_sim.friction.memory", "rig_sim.friction.pair", "rig_sim.flow.memory", "rig_sim.integrate.memory")
 FIRST_STEP = 1e-6  # x sqrt(m/k); the next are chosen by their errors
 TRIALS = 100  # of a step, each at most half as long
 # Largest errors of a step, where these are smaller than what the tolerance allows: of the bristles' deflection over
 # Fc/s0, of y and of the memory of rate and state.
 DEFLECTION_ERROR, FORCE_ERROR, MEMORY_ERROR = 1e-6, 1e-2, 1e-3
+# Of two formulas y = 1 is three quarters of the friction, of rate and state it is a thirtieth.
+PAIR_FORCE_ERROR = FORCE_ERROR / 10.0
 # The deflection's error need not be smaller than these: over the tolerance, and over Fc/s0.
 SMALL, SMALL_DEFLECTION = 1e-3, 1e-2
+LEAST_MEMORY = 1e-300  # of two formulas, whose memory has any unit
 ROUNDING = 1.0 + 1e-5  # of the largest deflection
 BEYOND = 100.0  # error of a step that ends beyond it
 LARGEST_CHANGE = 10.0  # of velocity and slip speed within a step, over the larger of those at its ends
@@ -153,8 +158,18 @@ def relative_error(flow: MemoryFlow, state: Vector, end: Vector, error: Vector) 
         deflection = min(allowed, max(DEFLECTION_ERROR * presliding, least))
         return max(abs(error[0]) / allowed, abs(error[1]) / speed, abs(error[2]) / deflection)
     steepness = max(slip(flow, state[1], state[2])[1], slip(flow, end[1], end[2])[1])
-    force = max(steepness / speed, 1.0 / FORCE_ERROR)
-    memory = max(flow.factor * flow.b / (flow.k * allowed), 1.0 / MEMORY_ERROR)
+    force = max(steepness / speed, 1.0 / (PAIR_FORCE_ERROR if flow.law == PAIR else FORCE_ERROR))
+    if flow.law == PAIR:
+        by_z = at(
+            flow.formulas,
+            evaluate(flow.formulas, False, smooth_speed(flow, slip(flow, end[1], end[2])[0]), end[2], 3) + 2,
+        )
+        memory = max(
+            flow.factor * abs(by_z) / (flow.k * allowed),
+            1.0 / (MEMORY_ERROR * max(abs(state[2]), abs(end[2]), LEAST_MEMORY)),
+        )
+    else:
+        memory = max(flow.factor * flow.b / (flow.k * allowed), 1.0 / MEMORY_ERROR)
     return max(abs(error[0]) / allowed, abs(error[1]) * force, abs(error[2]) * memory)
 
 

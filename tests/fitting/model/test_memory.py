@@ -83,6 +83,10 @@ def first_start(law, contact):
     return task, memory.warm_start(task, u)
 
 
+OWN = fitting.Law("own", "F0 + a*log(s/v0) + b*log(z*v0/D)", rate="1 - s*z/D")
+LAG = fitting.Law("lag", "Fc + (Fs - Fc)*exp(-z/v_s)", rate="(s - z)/tau")
+
+
 def truth(law):
     """Return the parameters per unit mass, and F0 at the speed that the fit holds, 1 m/s."""
     values = {name: value if name in ("v_s", "D", "v0") else value / MASS for name, value in CONTACTS[law].items()}
@@ -122,6 +126,65 @@ def test_derivatives_are_those_of_the_motion(law):
         assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
 
 
+def test_two_formulas_move_as_the_published_law_that_they_are():
+    """Theirs is the logarithm that an asinh is beside slip this fast, and its state the age, not its logarithm."""
+    values, moved = truth("ageing"), []
+    for law in (MEMORY["ageing"], OWN.given(fix={"v0": 1.0})):
+        problem = memory.MemoryProblem.of_law(law, [run_of("ageing")])
+        task = memory.memory_task(law, problem, values)
+        start = memory.warm_start(task, problem.start)
+        model = task.predict(problem.windows(thinned=True), 1.0)
+        moved.append((model.residual(start.q, start.local), model.all_derivatives(start.q, start.local).columns()))
+    (position, by_unknowns), (own, own_by_unknowns) = moved
+    assert np.max(np.abs(own - position)) < 1e-7
+    size = np.sqrt(np.mean(by_unknowns**2, axis=0))
+    assert np.all(np.sqrt(np.mean((own_by_unknowns - by_unknowns) ** 2, axis=0)) <= 1e-3 * size)
+
+
+def test_derivatives_of_two_formulas_are_those_of_the_motion():
+    """Of friction that lags behind slip: its state is a speed."""
+    problem = memory.MemoryProblem.of_law(LAG, [run_of("lugre")])
+    task = memory.memory_task(LAG, problem, {"Fc": 2.0, "Fs": 4.5, "v_s": 0.1, "tau": 0.01})
+    start = memory.warm_start(task, problem.start)
+    model = task.predict(problem.windows(thinned=True), 1.0)
+    found = model.all_derivatives(start.q, start.local).columns()
+    for j in range(start.q.size):
+        step = 1e-5 * max(1.0, abs(start.q[j])) * (np.arange(start.q.size) == j)
+        beside = [model.residual(start.q + sign * step, start.local) for sign in (1.0, -1.0)]
+        expected = (beside[0] - beside[1]) / (2 * step[j])
+        assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
+
+
+def test_a_law_of_two_formulas_gives_its_parameters_from_positions():
+    """Blind, with v0 held by the fit, as F0 and v0 enter only together."""
+    fit = fit_memory(OWN, [run_of("ageing")], nearest("ageing"))
+    published = fit_memory(MEMORY["ageing"], [run_of("ageing")], nearest("ageing"))
+    assert fit.outcome == "converged"
+    assert [group.names for group in fit.task.curve.together] == [("F0", "v0")]
+    assert fit.geometric_mean_rms == pytest.approx(published.geometric_mean_rms, rel=1e-4)
+    sd = np.sqrt(np.diag(SchurComplement(published.solution.blocks).covariance))[len(published.places) :]
+    for name, own in zip(published.task.curve.free, sd, strict=True):
+        if name != "F0":
+            assert fit.law_values[name] == pytest.approx(published.law_values[name], rel=0.1 * own)
+    s = np.array([0.01, 0.1, 0.5])
+    assert fit.task.friction(fit.q, s) == pytest.approx(published.task.friction(published.q, s), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("law", "units"),
+    [
+        (OWN, {"F0": "N", "a": "N", "v0": "m/s", "b": "N", "D": "m", "z": "s"}),
+        (LAG, {"Fc": "N", "Fs": "N", "v_s": "m/s", "tau": "s", "z": "m/s"}),
+        (
+            fitting.Law("brush", "s0*z", rate="s*(1 - s0*z/(Fs - G*s))"),
+            {"s0": "N/m", "Fs": "N", "G": "N s/m", "z": "m"},
+        ),
+    ],
+)
+def test_units_of_two_formulas_follow_from_both(law, units):
+    assert {name: law.unit(name, newtons=True) for name in units} == units
+
+
 def test_bristles_without_falling_friction_give_their_parameters():
     """Dahl's law does not stick and slip, but its windows, started as those of a record, determine it."""
     run, law = run_of("lugre"), MEMORY["dahl"].given(start={"s0": 2100.0, "s1": 55.0, "Fc": 2.4})
@@ -150,7 +213,10 @@ def test_bristles_of_any_stiffness_can_be_followed():
 @pytest.mark.parametrize("values", [{"F0": 4.0, "a": 0.1, "b": 0.35}, {"F0": 0.4, "a": 0.35, "b": 0.1}])
 def test_steady_friction_is_positive_at_any_speed(values):
     """The formula is negative at small speeds where a > b: its logarithm ended the fit with an error."""
-    curve, u = memory.MemoryCurve(MEMORY["ageing"], values | {"D": 1e-3}), np.zeros(len(Global))
+    curve, u = (
+        memory.MemoryCurve(MEMORY["ageing"], values | {"D": 1e-3}, memory.Sizes(4.0, 1.0, 0.1)),
+        np.zeros(len(Global)),
+    )
     u[Global.V_DR] = 0.2
     speed = np.array([0.0, 1e-6, 1e-3, 0.1, 1.0])
     found = curve.friction(u, curve.start, np.zeros(0), speed)
