@@ -43,12 +43,11 @@ from stickslip.compute.arrays import Array, Integers, Mask
 
 # Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
 DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0
-ROUNDED_TWICE = 0.1  # pitches: distance of counts printed with few decimals from whole multiples of the pitch
 STEADY_SPEED = 0.1  # distance from the belt's speed, over it: nearer, in stick, rounding errors are not white
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
 LEAST_WHITE_NOISE = 0.5  # smallest variance of white noise over rounding's; encoders without noise give up to 0.3
 FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
-ROUNDING = 1e-9  # distance over the range of the readings, below which two readings are the same
+ROUNDING = 1e-9  # spread over a mean, below which numbers are equal
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class PositionNoise:
 def estimate_noise(
     windows: ShootingWindows, residual: Array, inliers: Mask, motion: MeasuredMotion, run: int = 0
 ) -> PositionNoise:
-    pitch = reading_pitch(motion.measured)
+    pitch = motion.step
     rounding = pitch**2 / 12
     interval = float(np.median(np.diff(motion.time)))
     slowest = FASTEST_PATTERN * pitch / interval if motion.resolution < pitch else 0.0
@@ -108,24 +107,6 @@ def estimate_noise(
     jitter2 = float(np.sum(excess * v2)) / scale
     error = math.sqrt(float(np.sum(((excess - jitter2 * v2) * v2) ** 2))) / scale
     return PositionNoise(pitch, math.sqrt(white2), math.sqrt(jitter2) if jitter2 > noise_levels.SHOWN * error else 0.0)
-
-
-def reading_pitch(reading: Array) -> float:
-    """Return the pitch to which readings are rounded, m, even if finer than the printed step; 0 without rounding."""
-    values = np.unique(reading)
-    gaps = np.diff(values)
-    steps = gaps[gaps > ROUNDING * (values[-1] - values[0])]
-    if steps.size < FEWEST_DIFFERENCES:
-        return 0.0
-    centred = values - values.mean()
-    for smallest in (float(steps.min()), float(np.quantile(steps, 0.2))):  # stray readings can spoil the smallest step
-        pitch = float(np.median(steps[steps <= 1.5 * smallest]))
-        number = np.concatenate([[0.0], np.cumsum(np.rint(gaps / pitch))])
-        number -= number.mean()
-        pitch = float(np.sum(number * centred) / np.sum(number**2))
-        if float(np.median(np.abs(centred - pitch * number))) < ROUNDED_TWICE * pitch:
-            return pitch
-    return 0.0
 
 
 MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
