@@ -243,10 +243,6 @@ class GoodnessOfFit:
         return self.p_value is not None
 
     @property
-    def adequate(self) -> bool:
-        return self.p_value is not None and self.p_value >= REJECTED
-
-    @property
     def rejected(self) -> bool:
         return self.p_value is not None and self.p_value < REJECTED
 
