@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fitting import noise_levels
-from fitting.judge.curve import MeasuredCurve, covariances
+from fitting.judge.curve import SCATTER_SHOWN, MeasuredCurve, covariances
 from fitting.judge.parameters import DERIVATIVE_STEP, covariance, differences
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.curves import FreeCurve, FrictionCurve
@@ -42,7 +42,6 @@ BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a la
 LEAST_FRICTION = 0.1  # least friction over a curve's fall: above 0, which changes no motion
 # Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).
 OWN_KEYS = ("law", "curve", "formula", "contact", "static", "d", "G_stick")
-LEAST_SCATTER = 2.0  # scatter of the levels over what noise makes of it: with less the scene has none
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,7 +359,7 @@ def _scatter(fit: Fit) -> float:
     square = float(np.sum(left**2)) / (level.size - 2)
     blocks = fit.solution.blocks
     noise = float(np.median(np.linalg.inv(blocks.Hl)[:, PerCycle.LEVEL, PerCycle.LEVEL]))
-    return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
+    return math.sqrt(square - noise) if square > SCATTER_SHOWN * noise else 0.0
 
 
 def text(scene: FittedScene, ranking: Ranking, run: Path) -> str:

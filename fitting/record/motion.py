@@ -30,7 +30,6 @@ from stickslip.compute.arrays import HOLE, Array, runs
 from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
-COMPLIANCE_SHOWN = 3.0  # slope in standard errors, below which the belt is stiff
 # Standard deviation of an unknown rest position over the travel, about where friction is nowhere negative: with 3,
 # which allows any fall of friction, the width of a ramp that a record determines to a tenth is unconstrained.
 REST_SD = 0.5
@@ -49,7 +48,7 @@ class BeltLine:
 
     @property
     def slows_under_load(self) -> bool:
-        return -self.slope.value > COMPLIANCE_SHOWN * self.slope.sd
+        return -self.slope.value > noise_levels.SHOWN * self.slope.sd
 
     @property
     def is_unsteady(self) -> bool:
