@@ -32,7 +32,7 @@ import numpy as np
 from fitting import noise_levels
 from fitting.distributions import gamma_tail, gamma_upper_quantile
 from fitting.judge.linearised import LinearisedFit, Repeat
-from fitting.least_squares.normal_equations import MOST_AT_ONCE, Block, UnfollowableError
+from fitting.least_squares.normal_equations import Block, UnfollowableError
 from fitting.model.path import Path
 from fitting.model.tangents import tangents
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
@@ -63,16 +63,12 @@ class PositionNoise:
     def sd(self, velocity: Array) -> float:
         return math.sqrt(float(np.mean(self.variance(velocity))))
 
-    @property
-    def rounded_alone(self) -> bool:
-        return self.white == self.jitter == 0
-
     def draw(self, position: Array, velocity: Array, rng: np.random.Generator, shift: float) -> Array:
         """Draw position minus reading (n,), m, with the counter's grid moved by ``shift`` pitches."""
         spread = np.sqrt(self.white**2 + (self.jitter * velocity) ** 2)
-        error = 0.0 if self.rounded_alone else spread * rng.standard_normal(position.size)
+        error = spread * rng.standard_normal(position.size)
         if self.pitch == 0:
-            return np.asarray(-error + np.zeros(position.size))
+            return np.asarray(-error)
         moved = position + self.pitch * shift
         return np.asarray(moved - (np.floor((moved + error) / self.pitch) + 0.5) * self.pitch)
 
@@ -249,7 +245,6 @@ class GoodnessOfFit:
 
 @dataclass(frozen=True, eq=False)
 class RunSlips:
-    noise: PositionNoise
     noise_m: float  # standard deviation of one position, m
     bins: SlipBins
     lag1: float  # autocorrelation of neighbouring residuals of the record
@@ -259,36 +254,20 @@ class RunSlips:
     left_out: tuple[int, ...]  # numbers of the run's excluded cycles
 
 
-class Repetitions:
-    def __init__(self, noise: PositionNoise, rng: np.random.Generator, samples: int) -> None:
-        self.noise, self.begin = noise, rng.bit_generator.state
-        for first in range(0, 0 if noise.rounded_alone else samples, MOST_AT_ONCE):
-            rng.standard_normal(min(MOST_AT_ONCE, samples - first))
-        self.shift = float(rng.uniform(-0.5, 0.5)) if noise.pitch else 0.0
-
-    def restart(self) -> np.random.Generator:
-        rng = np.random.default_rng()
-        rng.bit_generator.state = self.begin
-        return rng
-
-
 def draw_noise(
-    repeated: Sequence[Sequence[Repetitions]],
-    position: Array,
-    velocity: Array,
-    owner: Integers,
-    blocks: Sequence[Block],
+    noises: Sequence[PositionNoise], position: Array, velocity: Array, owner: Integers, blocks: Sequence[Block]
 ) -> Iterator[Array]:
-    """Yield repetitions (n, B) of the noise in each block, m, from those ``repeated`` of each run."""
-    rngs = [[repetition.restart() for repetition in runs] for runs in repeated]
+    """Yield repetitions (n, B) of the noise of each run in each block, m, the same when called again."""
+    rngs = [[np.random.default_rng((SEED, j, run)) for run in range(len(noises))] for j in range(REPETITIONS)]
+    shifts = [[float(rng.uniform(-0.5, 0.5)) for rng in of_runs] for of_runs in rngs]
     for block in blocks:
         run, x, v = owner[block.rows], position[block.rows], velocity[block.rows]
-        noise = np.empty((run.size, len(repeated)))
-        for j, runs in enumerate(repeated):
-            for k, (repetition, rng) in enumerate(zip(runs, rngs[j], strict=True)):
+        drawn = np.empty((run.size, REPETITIONS))
+        for j, of_runs in enumerate(rngs):
+            for k, (noise, rng) in enumerate(zip(noises, of_runs, strict=True)):
                 of_run = run == k
-                noise[of_run, j] = repetition.noise.draw(x[of_run], v[of_run], rng, repetition.shift)
-        yield noise
+                drawn[of_run, j] = noise.draw(x[of_run], v[of_run], rng, shifts[j][k])
+        yield drawn
 
 
 def judge(
@@ -314,12 +293,8 @@ def judge(
     landings = np.array([cycle.landing for cycle in fit.cycles])
     judged = [~left_out & (windows.run == run) for run in range(len(motions))]
     bins = [SlipBins.cut(windows, landings, cycles, run) for run, cycles in enumerate(judged)]
-    rng, samples = np.random.default_rng(SEED), np.bincount(owner, minlength=len(motions)).tolist()
-    repeated = [
-        [Repetitions(noise, rng, n) for noise, n in zip(noises, samples, strict=True)] for _ in range(REPETITIONS)
-    ]
     parts = []
-    for block, refitted in refit(partial(draw_noise, repeated, position, velocity, owner)):
+    for block, refitted in refit(partial(draw_noise, noises, position, velocity, owner)):
         squares = cycle_squares(refitted, windows.rows[block.cycles])
         parts.append(
             (squares, *(sums for cut in bins for sums in (cut.sums(refitted, block), cut.sums(refitted**2, block))))
@@ -328,7 +303,6 @@ def judge(
     squares = cycle_squares(residual[:, None], windows.rows)
     return tuple(
         RunSlips(
-            noise=noise,
             noise_m=noise.sd(velocity[owner == run]),
             bins=cut,
             lag1=cut.lag1(residual),
