@@ -26,7 +26,7 @@ from fitting.least_squares.elimination import least_squares
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 from processing.record.setting import is_possible_speed
-from stickslip.compute.arrays import HOLE, Array, runs
+from stickslip.compute.arrays import HOLE, Array, pieces, runs
 from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
@@ -123,7 +123,6 @@ def harmonic_share(ratio: float) -> float:
 SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
 REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
 SHORTEST_PHASE = 0.06  # shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a longer hole may hide one
-GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +282,8 @@ def _mark_used(kinematics: Kinematics) -> NDArray[np.bool_]:
 def _mark_broken(kinematics: Kinematics, interval: float, slip: float) -> NDArray[np.bool_]:
     """Return which kept samples do not follow the one before; ``interval`` interval and ``slip`` duration, s."""
     time, used = kinematics.time, _mark_used(kinematics)
-    new = (np.diff(time) > GAP_INTERVALS * interval) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
-    piece = np.r_[0, np.cumsum(new)][used]
+    whole = pieces(time, kinematics.recording.segment, interval)
+    piece = np.repeat(np.arange(len(whole)), [part.stop - part.start for part in whole])[used]
     broken = np.ones(piece.size, np.bool_)
     broken[1:] = (np.diff(piece) > 0) | (np.diff(time[used]) > max(HOLE * interval, SHORTEST_PHASE * slip))
     return broken
