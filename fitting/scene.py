@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fitting import noise_levels
-from fitting.judge.curve import MeasuredCurve, covariances
-from fitting.judge.parameters import covariance
+from fitting.judge.curve import SCATTER_SHOWN, MeasuredCurve, covariances
+from fitting.judge.parameters import DERIVATIVE_STEP, covariance, differences
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.curves import FreeCurve, FrictionCurve
 from fitting.model.problem import rest_calibration
@@ -38,13 +38,10 @@ from stickslip.text import storable
 from stickslip.toml import quote
 from stickslip.units import Measured
 
-DERIVATIVE_STEP = 1e-6  # step over an unknown or, where that is larger, over its error: derivatives err by 1e-9
-LEAST_STATIC = 0.005  # least excess of a break-away level over a curve, of it
 BREAK_AWAY_BLUR = 0.5  # how far smoothing moves a break-away found without a law, over its half-window
 LEAST_FRICTION = 0.1  # least friction over a curve's fall: above 0, which changes no motion
 # Keys of a scene's section of friction that no parameter of a formula can have (`rig_sim.scenes.checks`).
 OWN_KEYS = ("law", "curve", "formula", "contact", "static", "d", "G_stick")
-LEAST_SCATTER = 2.0  # scatter of the levels over what noise makes of it: with less the scene has none
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +182,6 @@ class BreakAwayLevel(NamedTuple):
 
     excess: Callable[[Array], float]  # over friction at rest, m/s^2, at the unknowns
     sd: float  # beside that of the unknowns
-    least: float  # excess over both errors, and over friction at rest, from which the contact has this level
-    least_share: float
 
 
 def of_ranking(ranking: Ranking) -> FittedScene:
@@ -210,7 +205,7 @@ def of_ranking(ranking: Ranking) -> FittedScene:
         along = np.einsum("ij,j->i", spread, slopes)
         variance = float(np.sum(along * slopes)) + level.sd**2
         rest = rig.at_rest(unknowns)
-        if gap > max(level.least * math.sqrt(variance), level.least_share * rest):
+        if gap > noise_levels.SHOWN * math.sqrt(variance):
             static = Measured(1 + gap / rest, level.sd / rest)
         else:
             unknowns = unknowns - along * gap / variance
@@ -261,7 +256,7 @@ def _level_of_law(ranking: Ranking, rig: FittedRig) -> BreakAwayLevel | None:
         return None
     rest = rig.at_rest(rig.unknowns)
     level = rest * finding.value / finding.expected
-    return BreakAwayLevel(lambda q: level - rig.at_rest(q), abs(level - rest) / finding.sigmas, 0.0, 0.0)
+    return BreakAwayLevel(lambda q: level - rig.at_rest(q), abs(level - rest) / finding.sigmas)
 
 
 def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: FittedRig) -> BreakAwayLevel | None:
@@ -274,7 +269,7 @@ def _level_of_curve(curve: MeasuredCurve, statistics: StickSlipStatistics, rig: 
         p = rig.values(unknowns)
         return p.K * (place.value - p.datum) + p.damping * p.v_dr - rig.at_rest(unknowns)
 
-    return BreakAwayLevel(excess, curve.spline_fit.values.K * place.sd, noise_levels.SHOWN, LEAST_STATIC)
+    return BreakAwayLevel(excess, curve.spline_fit.values.K * place.sd)
 
 
 def _held(spread: Array, rig: FittedRig) -> Array:
@@ -327,13 +322,9 @@ def _propagated(rig: FittedRig, names: list[str], unknowns: Array, spread: Array
 
 
 def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array) -> Array:
-    """Return the derivatives by u along the last axis, by central differences."""
-    columns_of = []
-    for j in range(u.size):
-        step = np.zeros(u.size)
-        step[j] = DERIVATIVE_STEP * (max(abs(float(u[j])), math.sqrt(max(float(spread[j, j]), 0.0))) or 1.0)
-        columns_of.append((np.asarray(function(u + step)) - np.asarray(function(u - step))) / (2 * step[j]))
-    return np.stack(columns_of, axis=-1)
+    """Return the derivatives by u, whose errors have the covariance ``spread``, along the last axis."""
+    size = np.maximum(np.abs(u), np.sqrt(np.maximum(np.diag(spread), 0.0)))
+    return differences(function, u, DERIVATIVE_STEP * np.where(size > 0, size, 1.0))
 
 
 def _positive(spread: Array) -> Array:
@@ -371,7 +362,7 @@ def _scatter(fit: Fit) -> float:
     square = float(np.sum(left**2)) / (level.size - 2)
     blocks = fit.solution.blocks
     noise = float(np.median(np.linalg.inv(blocks.Hl)[:, PerCycle.LEVEL, PerCycle.LEVEL]))
-    return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0
+    return math.sqrt(square - noise) if square > SCATTER_SHOWN * noise else 0.0
 
 
 def text(scene: FittedScene, ranking: Ranking, run: Path) -> str:

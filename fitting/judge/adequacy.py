@@ -14,6 +14,7 @@ from fitting import noise_levels
 from fitting.judge.curve import BandExit, MeasuredCurve, furthest_exit, in_newtons, measure_curve
 from fitting.judge.departures import Base, FittedDeparture, Refit, explain_misfit
 from fitting.judge.fluctuation import fluctuation_share
+from fitting.judge.friction import mass, unit
 from fitting.judge.goodness import (
     GoodnessOfFit,
     RunSlips,
@@ -182,14 +183,13 @@ def assess(
         fluctuation=fluctuation,
     )
     if curve is not None:
-        mass = known_mass(motions[0], curve)
         curve_of_record = replace(curve, k_over_m=replace(curve.k_over_m, trusted=of_speed))
         together = replace(
             together,
-            curve=curve_of_record if mass is None else in_newtons(curve_of_record, mass),
+            curve=in_newtons(curve_of_record, mass(motions[0], curve.spline_fit)),
             curve_goodness=curve_goodness,
             outside_band={fit.law.key: furthest_exit(curve, np.abs(fit.force(-curve.speed))) for fit in ranked},
-            unit="N/kg" if mass is None else "N",
+            unit=unit(motions[0]),
         )
     if len(motions) == 1:
         return [together]
@@ -224,13 +224,6 @@ def _count_repeated(judgement: LawJudgement, residuals: Array) -> Array:
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
     """Return whether the residual of one of the laws is noise, as far as that can be judged."""
     return any(not _judge_fit(fit, motions).joint.rejected for fit in fits)
-
-
-def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
-    """Return the mass that converts the curve to newtons, kg; None where neither mass nor stiffness is known."""
-    if motion.mass is not None:
-        return motion.mass.value
-    return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
 
 
 def _judge_fit(fit: Fit, motions: Sequence[MeasuredMotion]) -> LawJudgement:

@@ -83,7 +83,8 @@ class MeasuredCurve:
 # Standard deviation of an assumed rest position over the travel: if friction falls by a fifth, the spring's stretch is
 # 2.5 travels. Only the band and the intervals depend on it.
 CURVE_REST_SD = 3.0
-SCATTER_SHOWN = 4.0  # variance of the levels over that from noise, above which they separate datum and friction
+# Variance of the levels over that from noise, above which they scatter, and so separate datum and friction.
+SCATTER_SHOWN = 4.0
 HIDDEN_STEP = 1e-3  # relative step of friction at rest in the derivative by a hidden move, which is linear
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 

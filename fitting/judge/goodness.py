@@ -32,7 +32,7 @@ import numpy as np
 from fitting import noise_levels
 from fitting.distributions import gamma_tail, gamma_upper_quantile
 from fitting.judge.linearised import LinearisedFit, Repeat
-from fitting.least_squares.normal_equations import MOST_AT_ONCE, Block, UnfollowableError
+from fitting.least_squares.normal_equations import Block, UnfollowableError
 from fitting.model.path import Path
 from fitting.model.tangents import tangents
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
@@ -43,12 +43,11 @@ from stickslip.compute.arrays import Array, Integers, Mask
 
 # Order of differences, and their weights (1, 4, 6, 4, 1) squared and summed.
 DIFFERENCE_ORDER, SQUARED_WEIGHTS = 4, 70.0
-ROUNDED_TWICE = 0.1  # pitches: distance of counts printed with few decimals from whole multiples of the pitch
 STEADY_SPEED = 0.1  # distance from the belt's speed, over it: nearer, in stick, rounding errors are not white
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
 LEAST_WHITE_NOISE = 0.5  # smallest variance of white noise over rounding's; encoders without noise give up to 0.3
 FEWEST_DIFFERENCES = 50  # differences from which noise is estimated
-ROUNDING = 1e-9  # distance over the range of the readings, below which two readings are the same
+ROUNDING = 1e-9  # spread over a mean, below which numbers are equal
 
 
 @dataclass(frozen=True)
@@ -64,16 +63,12 @@ class PositionNoise:
     def sd(self, velocity: Array) -> float:
         return math.sqrt(float(np.mean(self.variance(velocity))))
 
-    @property
-    def rounded_alone(self) -> bool:
-        return self.white == self.jitter == 0
-
     def draw(self, position: Array, velocity: Array, rng: np.random.Generator, shift: float) -> Array:
         """Draw position minus reading (n,), m, with the counter's grid moved by ``shift`` pitches."""
         spread = np.sqrt(self.white**2 + (self.jitter * velocity) ** 2)
-        error = 0.0 if self.rounded_alone else spread * rng.standard_normal(position.size)
+        error = spread * rng.standard_normal(position.size)
         if self.pitch == 0:
-            return np.asarray(-error + np.zeros(position.size))
+            return np.asarray(-error)
         moved = position + self.pitch * shift
         return np.asarray(moved - (np.floor((moved + error) / self.pitch) + 0.5) * self.pitch)
 
@@ -81,7 +76,7 @@ class PositionNoise:
 def estimate_noise(
     windows: ShootingWindows, residual: Array, inliers: Mask, motion: MeasuredMotion, run: int = 0
 ) -> PositionNoise:
-    pitch = reading_pitch(motion.measured)
+    pitch = motion.step
     rounding = pitch**2 / 12
     interval = float(np.median(np.diff(motion.time)))
     slowest = FASTEST_PATTERN * pitch / interval if motion.resolution < pitch else 0.0
@@ -108,24 +103,6 @@ def estimate_noise(
     jitter2 = float(np.sum(excess * v2)) / scale
     error = math.sqrt(float(np.sum(((excess - jitter2 * v2) * v2) ** 2))) / scale
     return PositionNoise(pitch, math.sqrt(white2), math.sqrt(jitter2) if jitter2 > noise_levels.SHOWN * error else 0.0)
-
-
-def reading_pitch(reading: Array) -> float:
-    """Return the pitch to which readings are rounded, m, even if finer than the printed step; 0 without rounding."""
-    values = np.unique(reading)
-    gaps = np.diff(values)
-    steps = gaps[gaps > ROUNDING * (values[-1] - values[0])]
-    if steps.size < FEWEST_DIFFERENCES:
-        return 0.0
-    centred = values - values.mean()
-    for smallest in (float(steps.min()), float(np.quantile(steps, 0.2))):  # stray readings can spoil the smallest step
-        pitch = float(np.median(steps[steps <= 1.5 * smallest]))
-        number = np.concatenate([[0.0], np.cumsum(np.rint(gaps / pitch))])
-        number -= number.mean()
-        pitch = float(np.sum(number * centred) / np.sum(number**2))
-        if float(np.median(np.abs(centred - pitch * number))) < ROUNDED_TWICE * pitch:
-            return pitch
-    return 0.0
 
 
 MOST_BINS = 60  # bins of a slip, with 8 to 20 samples each at 1 kHz
@@ -262,17 +239,12 @@ class GoodnessOfFit:
         return self.p_value is not None
 
     @property
-    def adequate(self) -> bool:
-        return self.p_value is not None and self.p_value >= REJECTED
-
-    @property
     def rejected(self) -> bool:
         return self.p_value is not None and self.p_value < REJECTED
 
 
 @dataclass(frozen=True, eq=False)
 class RunSlips:
-    noise: PositionNoise
     noise_m: float  # standard deviation of one position, m
     bins: SlipBins
     lag1: float  # autocorrelation of neighbouring residuals of the record
@@ -282,36 +254,20 @@ class RunSlips:
     left_out: tuple[int, ...]  # numbers of the run's excluded cycles
 
 
-class Repetitions:
-    def __init__(self, noise: PositionNoise, rng: np.random.Generator, samples: int) -> None:
-        self.noise, self.begin = noise, rng.bit_generator.state
-        for first in range(0, 0 if noise.rounded_alone else samples, MOST_AT_ONCE):
-            rng.standard_normal(min(MOST_AT_ONCE, samples - first))
-        self.shift = float(rng.uniform(-0.5, 0.5)) if noise.pitch else 0.0
-
-    def restart(self) -> np.random.Generator:
-        rng = np.random.default_rng()
-        rng.bit_generator.state = self.begin
-        return rng
-
-
 def draw_noise(
-    repeated: Sequence[Sequence[Repetitions]],
-    position: Array,
-    velocity: Array,
-    owner: Integers,
-    blocks: Sequence[Block],
+    noises: Sequence[PositionNoise], position: Array, velocity: Array, owner: Integers, blocks: Sequence[Block]
 ) -> Iterator[Array]:
-    """Yield repetitions (n, B) of the noise in each block, m, from those ``repeated`` of each run."""
-    rngs = [[repetition.restart() for repetition in runs] for runs in repeated]
+    """Yield repetitions (n, B) of the noise of each run in each block, m, the same when called again."""
+    rngs = [[np.random.default_rng((SEED, j, run)) for run in range(len(noises))] for j in range(REPETITIONS)]
+    shifts = [[float(rng.uniform(-0.5, 0.5)) for rng in of_runs] for of_runs in rngs]
     for block in blocks:
         run, x, v = owner[block.rows], position[block.rows], velocity[block.rows]
-        noise = np.empty((run.size, len(repeated)))
-        for j, runs in enumerate(repeated):
-            for k, (repetition, rng) in enumerate(zip(runs, rngs[j], strict=True)):
+        drawn = np.empty((run.size, REPETITIONS))
+        for j, of_runs in enumerate(rngs):
+            for k, (noise, rng) in enumerate(zip(noises, of_runs, strict=True)):
                 of_run = run == k
-                noise[of_run, j] = repetition.noise.draw(x[of_run], v[of_run], rng, repetition.shift)
-        yield noise
+                drawn[of_run, j] = noise.draw(x[of_run], v[of_run], rng, shifts[j][k])
+        yield drawn
 
 
 def judge(
@@ -337,12 +293,8 @@ def judge(
     landings = np.array([cycle.landing for cycle in fit.cycles])
     judged = [~left_out & (windows.run == run) for run in range(len(motions))]
     bins = [SlipBins.cut(windows, landings, cycles, run) for run, cycles in enumerate(judged)]
-    rng, samples = np.random.default_rng(SEED), np.bincount(owner, minlength=len(motions)).tolist()
-    repeated = [
-        [Repetitions(noise, rng, n) for noise, n in zip(noises, samples, strict=True)] for _ in range(REPETITIONS)
-    ]
     parts = []
-    for block, refitted in refit(partial(draw_noise, repeated, position, velocity, owner)):
+    for block, refitted in refit(partial(draw_noise, noises, position, velocity, owner)):
         squares = cycle_squares(refitted, windows.rows[block.cycles])
         parts.append(
             (squares, *(sums for cut in bins for sums in (cut.sums(refitted, block), cut.sums(refitted**2, block))))
@@ -351,7 +303,6 @@ def judge(
     squares = cycle_squares(residual[:, None], windows.rows)
     return tuple(
         RunSlips(
-            noise=noise,
             noise_m=noise.sd(velocity[owner == run]),
             bins=cut,
             lag1=cut.lag1(residual),

@@ -46,6 +46,7 @@ from stickslip.units import Measured
 
 STATED_ERROR = 0.5  # standard error over a value, above which a level is not constrained and only differences are given
 NO_LIMITS = (-math.inf, math.inf)
+DERIVATIVE_STEP = 1e-6  # step of a central difference, over the unknown: derivatives err by 1e-9
 LARGEST_LOG = 300.0  # logarithm of the factor between a value and the end of its interval; larger ones overflow
 
 
@@ -363,12 +364,8 @@ def friction_band(fit: Fit, motion: MeasuredMotion, speed: Array, alpha: float) 
         moved[constraints.places] = q
         return stretched * friction_at(replace(fit, q=moved), motion, speed / stretched)
 
-    slopes = []
-    for k, value in enumerate(constraints.q.tolist()):
-        step = np.zeros(constraints.q.size)
-        step[k] = 1e-6 * max(abs(value), 1e-6)
-        slopes.append((friction_of(constraints.q + step) - friction_of(constraints.q - step)) / (2 * step[k]))
-    variance = np.einsum("in,sij,jn->sn", slopes, constraints.covariances, slopes).max(axis=0)
+    slopes = differences(friction_of, constraints.q, constraints.steps)
+    variance = np.einsum("ni,sij,nj->sn", slopes, constraints.covariances, slopes).max(axis=0)
     by_length = (friction_of(constraints.q, 1 + 1e-6) - friction_of(constraints.q, 1 - 1e-6)) / 2e-6
     scale = motion.mass or motion.stiffness
     of_scale = 0.0 if scale is None else scale.sd / scale.value * friction_of(constraints.q)
@@ -380,7 +377,7 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     """Return the correlations of parameters per unit mass that do not follow from others."""
     constraints = _constrain(fit, motion, run)
     rows = _independent_rows(fit, motion, constraints)
-    slopes = np.array([list(constraints.slopes(row.formula)) for row in rows])
+    slopes = np.array([constraints.slopes(row.formula) for row in rows])
     slopes *= np.array([_sign_of(row, motion) for row in rows])[:, None]
     point = constraints.at(constraints.q)
     lengths = np.array([row.length * row.formula(*point) * motion.length_error for row in rows])
@@ -429,7 +426,7 @@ def unknown_of(fit: Fit, motion: MeasuredMotion, name: str) -> tuple[int, Callab
     for row, scale in (*_formula_rows(fit, motion), *_table(fit, motion, constraints)):
         if row.name != name:
             continue
-        deciding = np.flatnonzero(list(constraints.slopes(row.formula)))
+        deciding = np.flatnonzero(constraints.slopes(row.formula))
         if deciding.size != 1:
             return None
         factor = _sign_of(row, motion) * (1.0 if scale is None else scale.value**row.power)
@@ -462,18 +459,26 @@ class Constraints(NamedTuple):
     undetermined: set[Global]  # unknowns dominated by a default prior
     unconstrained: Array | float = 0.0  # (m,) such a direction, a standard deviation long, part of ``covariances``
 
-    def slopes(self, formula: Callable[[Values, LawValues], float]) -> Iterator[float]:
-        for k, value in enumerate(self.q.tolist()):
-            step = 1e-6 * max(abs(value), 1e-6)
-            up, down = self.q.copy(), self.q.copy()
-            up[k] += step
-            down[k] -= step
-            yield (formula(*self.at(up)) - formula(*self.at(down))) / (2 * step)
+    @property
+    def steps(self) -> Array:
+        return DERIVATIVE_STEP * np.maximum(np.abs(self.q), DERIVATIVE_STEP)
+
+    def slopes(self, formula: Callable[[Values, LawValues], float]) -> Array:
+        return differences(lambda q: formula(*self.at(q)), self.q, self.steps)
 
     def variance(self, formula: Callable[[Values, LawValues], float]) -> float:
         """Return the larger of both variances."""
-        slope = np.array(list(self.slopes(formula)))
+        slope = self.slopes(formula)
         return max(float(np.einsum("i,sij,j->s", slope, self.covariances, slope).max()), 0.0)
+
+
+def differences(function: Callable[[Array], Array | float], q: Array, steps: Array) -> Array:
+    """Return the derivatives of a function by its arguments (n,), along the last axis, by central differences."""
+    moves = zip(np.diag(steps), steps, strict=True)
+    return np.stack(
+        [(np.asarray(function(q + move)) - np.asarray(function(q - move))) / (2 * step) for move, step in moves],
+        axis=-1,
+    )
 
 
 def _constrain(fit: Fit, motion: MeasuredMotion, run: int) -> Constraints:

@@ -25,7 +25,7 @@ from fitting.laws import SIX, Law
 from fitting.least_squares.elimination import least_squares
 from fitting.model.predict import law_task
 from fitting.model.problem import Run
-from fitting.record.cycles import Cycle, CycleSegmentation
+from fitting.record.cycles import SUSTAINED_SHARE, Cycle, CycleSegmentation
 from fitting.record.motion import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.search.fit import Fit
 from fitting.search.passes import first_pass, start_from_regression
@@ -163,7 +163,6 @@ NONE_NEAR = "no law comes near it"
 NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
-LEAST_SHARE = 0.15  # smallest share of the record in sticks: stick-slip of paper on paper has 0.19 and more
 RETURNS = (0.5, 2.0)  # median travel back in a slip over that of a stick: paper on paper has 0.83 and 1.01, steps 0.04
 
 
@@ -259,7 +258,7 @@ def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
 def is_stick_slip(record: Kinematics) -> bool:
     """Return whether sticks of one speed alternate with slips back, of equal length and at a changing speed."""
     sticks = record.sticks
-    if len(sticks) < FEW or record.plateau_fraction < LEAST_SHARE:
+    if len(sticks) < FEW or record.plateau_fraction < SUSTAINED_SHARE:
         return False
     x, v = record.steady_position, record.velocity
     speed = np.array([np.median(v[stick.first : stick.last + 1]) for stick in sticks])

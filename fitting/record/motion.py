@@ -10,14 +10,12 @@ extension.  In stick the load is the spring force, so the belt's velocity agains
 correlated within a smoothing window, and within a stick.  Not modelled: a compliance that is not proportional to the
 load, or lags it.
 
-Slip duration.  In a frame that moves at half the belt's speed, the position rises in a stick and falls in a slip.  The
-slip is longer than the fall by the time of a harmonic motion of the same height between that speed and the belt's.
-Turning points, not velocities, are used, so one sample in a stick and four in a slip are enough.
+Slip duration.  For most of a slip the mass is slower than half the belt's speed.  The slip is longer by the time that a
+harmonic motion of the same height takes between that speed and the belt's.
 """
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +26,10 @@ from fitting.least_squares.elimination import least_squares
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 from processing.record.setting import is_possible_speed
-from stickslip.compute.arrays import HOLE, Array, runs
+from stickslip.compute.arrays import HOLE, Array, pieces, runs
 from stickslip.errors import DataError, InputError
 from stickslip.units import Measured
 
-COMPLIANCE_SHOWN = 3.0  # slope in standard errors, below which the belt is stiff
 # Standard deviation of an unknown rest position over the travel, about where friction is nowhere negative: with 3,
 # which allows any fall of friction, the width of a ramp that a record determines to a tenth is unconstrained.
 REST_SD = 0.5
@@ -51,7 +48,7 @@ class BeltLine:
 
     @property
     def slows_under_load(self) -> bool:
-        return -self.slope.value > COMPLIANCE_SHOWN * self.slope.sd
+        return -self.slope.value > noise_levels.SHOWN * self.slope.sd
 
     @property
     def is_unsteady(self) -> bool:
@@ -103,27 +100,13 @@ def _errors_by_stick(columns: Array, rest: Array, stick_samples: list[NDArray[np
     return np.asarray(np.sqrt(correction * np.sum(gradients**2, axis=0)) / np.sum(columns**2, axis=0))
 
 
-# Standard deviations of the difference of two readings: noise of 1,000 samples in a stick has no turn as large.
-TURN_ABOVE_NOISE = 6.0
 ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
 
 
-def slip_duration(time: Array, position: Array, noise: float) -> float:
-    """Return the median duration of a slip, s; the record's if there is none.  ``noise`` is in m."""
-    least_turn = TURN_ABOVE_NOISE * math.sqrt(2) * noise
-    rises = _list_rises(position, least_turn, 1)
-    if not rises:
-        return float(time[-1] - time[0])
-    belt = float(np.median([_middle_speed(time[i : j + 1], position[i : j + 1]) for i, j in rises]))
-    falls = _list_rises(position - 0.5 * belt * time, least_turn, -1)
-    if not falls:
-        return float(time[-1] - time[0])
-    slow_duration = _middle_mean(np.array([time[j] - time[i] for i, j in falls]))
-    height = float(np.median([np.ptp(position[i : j + 1]) for i, j in falls]))
-    if height == 0:
-        return float(time[-1] - time[0])
-    share = harmonic_share(belt * slow_duration / height)
-    return slow_duration * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(0.5 * share))
+def slip_duration(slow_s: float, travel: float, belt: float) -> float:
+    """Return the duration of a slip, s; ``slow_s`` and ``travel`` are those below `SLIP_SPEED` of the ``belt``, m/s."""
+    share = harmonic_share(belt * slow_s / travel)
+    return slow_s * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(SLIP_SPEED * share))
 
 
 def harmonic_share(ratio: float) -> float:
@@ -133,58 +116,13 @@ def harmonic_share(ratio: float) -> float:
     """
     share = 0.0
     for _ in range(ITERATIONS):
-        share = min(1.0, 2 * ratio / (math.pi + 2 * math.asin(0.5 * share)))
+        share = min(1.0, 2 * ratio / (math.pi + 2 * math.asin(SLIP_SPEED * share)))
     return share
-
-
-def _list_rises(y: Array, least_turn: float, direction: int) -> list[tuple[int, int]]:
-    """Return first and last sample of each rise (``direction`` 1) or fall (-1) between turns above ``least_turn``."""
-    turns = _turns(direction * y, least_turn)
-    return [(i, j) for (i, top), (j, _) in pairwise(turns) if not top]
-
-
-def _turns(y: Array, least_turn: float) -> list[tuple[int, bool]]:
-    """Return the samples where y turns by more than ``least_turn``, each with whether it is a top."""
-    rises = np.sign(np.diff(y))
-    samples = np.flatnonzero(np.r_[True, rises[1:] != rises[:-1], True]).tolist()  # tops, feet and ends of equal values
-    turns: list[tuple[int, bool]] = []
-    top = foot = samples[0]
-    for sample in samples:
-        value = y[sample]
-        top = sample if value > y[top] else top
-        foot = sample if value < y[foot] else foot
-        rising = not turns or not turns[-1][1]
-        falling = not turns or turns[-1][1]
-        if rising and y[top] - value > least_turn:
-            turns.append((top, True))
-            foot = sample
-        elif falling and value - y[foot] > least_turn:
-            turns.append((foot, False))
-            top = sample
-    return turns
-
-
-def _middle_speed(time: Array, position: Array) -> float:
-    height = np.maximum.accumulate(position)
-    ends = []
-    for share in (0.25, 0.75):
-        level = position[0] + share * (position[-1] - position[0])
-        after = max(int(np.searchsorted(height, level)), 1)
-        low, high = height[after - 1], height[after]
-        ends.append(time[after - 1] + (time[after] - time[after - 1]) * (level - low) / (high - low))
-    return float(0.5 * (position[-1] - position[0]) / (ends[1] - ends[0]))
-
-
-def _middle_mean(values: Array) -> float:
-    """Return the mean of the middle half, which has a finer resolution than the median of whole samples."""
-    quarter = values.size // 4
-    return float(np.mean(np.sort(values)[quarter : values.size - quarter]))
 
 
 SLIP_SPEED = 0.5  # speed of the mass over the belt's: slower than this, it slips
 REST_SPEED = 0.05  # speed of the mass over the belt's: slower than this, it is at rest
 SHORTEST_PHASE = 0.06  # shortest stick or slip, in slips (`MeasuredMotion.slip_s`); a longer hole may hide one
-GAP_INTERVALS = 3.0  # time between two samples over the usual one: more is a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,9 +210,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     sign = math.copysign(1.0, speed)
     usual_interval = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)
-    slip = usual_slip(time, sign * position, sign * velocity < SLIP_SPEED * abs(speed))
-    # They include samples that smoothing excludes as faults: slips of few samples look like spikes.
-    readings = recording.position - kinematics.offset
+    slip, slow_s, travel = usual_slip(time, sign * position, sign * velocity < SLIP_SPEED * abs(speed))
     prior = trusted_speed
     if channel is not None:
         unknown = Measured(sign * float(np.min(sign * position)), REST_SD * float(np.ptp(position)))
@@ -301,7 +237,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         velocity_error=float(np.median(kinematics.velocity_errors[used])),
         half_window=kinematics.window * usual_interval / 2,
         slip_s=rounded_slip(slip),
-        samples_per_slip=slip_duration(kinematics.time, sign * readings, kinematics.noise) / usual_interval,
+        samples_per_slip=slip_duration(slow_s, travel, abs(speed)) / usual_interval,
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
         if channel is not None and channel.slows_under_load
@@ -313,8 +249,11 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     )
 
 
-def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
-    """Return the usual duration of a slip, s: half of the travel in slips is in slips at least as long."""
+def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Return the usual duration of a slip, s: half of the travel in slips is in slips at least as long.
+
+    Also return mean duration, s, and travel, m, of the slips with the middle half of the travel.
+    """
     parts = runs(slips)
     last = time.size - 1
     if not parts:
@@ -323,7 +262,9 @@ def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
     ways = np.array([np.ptp(position[i:j]) for i, j in parts])
     order = np.argsort(lengths)
     travelled = np.cumsum(ways[order])
-    return float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
+    first, usual, last = np.searchsorted(travelled, travelled[-1] * np.array([0.25, 0.5, 0.75]))
+    middle = order[first : last + 1]
+    return float(lengths[order[usual]]), float(lengths[middle].mean()), float(ways[middle].mean())
 
 
 def rounded_slip(usual_slip_s: float) -> float:
@@ -341,8 +282,8 @@ def _mark_used(kinematics: Kinematics) -> NDArray[np.bool_]:
 def _mark_broken(kinematics: Kinematics, interval: float, slip: float) -> NDArray[np.bool_]:
     """Return which kept samples do not follow the one before; ``interval`` interval and ``slip`` duration, s."""
     time, used = kinematics.time, _mark_used(kinematics)
-    new = (np.diff(time) > GAP_INTERVALS * interval) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
-    piece = np.r_[0, np.cumsum(new)][used]
+    whole = pieces(time, kinematics.recording.segment, interval)
+    piece = np.repeat(np.arange(len(whole)), [part.stop - part.start for part in whole])[used]
     broken = np.ones(piece.size, np.bool_)
     broken[1:] = (np.diff(piece) > 0) | (np.diff(time[used]) > max(HOLE * interval, SHORTEST_PHASE * slip))
     return broken

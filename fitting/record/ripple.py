@@ -26,7 +26,6 @@ from fitting.record.motion import MeasuredMotion
 from stickslip.compute.arrays import Array
 
 RESIDUAL_VARIANCE = 0.35  # largest residual variance over that of the velocity in stick; true ripples have 0.32
-AMPLITUDE_BESIDE_LINES = 0.27  # smallest share of the amplitude not absorbed by the lines; true ripples 0.28 to 1.0
 # Periods in a slip (`MeasuredMotion.slip_s`).  A slower ripple, or one below `SLOWEST_OF_FEW` with fewer periods, may
 # be wear or drift; smoothing removes a faster one.
 SLOWEST, SLOWEST_OF_FEW, FASTEST = 0.025, 0.1, 12.5
@@ -183,11 +182,7 @@ def _find_harmonic(motion: MeasuredMotion, all_sticks: Sticks, peaks: list[float
     )
     end = min(ends, key=mean_square)
     after, before, (even, odd) = mean_square(end), float(np.mean(sticks.fit(end[1])[1] ** 2)), harmonic(end)[0]
-    if (
-        after > RESIDUAL_VARIANCE * before
-        or 2 * (before - after) < (AMPLITUDE_BESIDE_LINES * math.hypot(even, odd)) ** 2
-        or information(before) - information(after) < needed
-    ):
+    if after > RESIDUAL_VARIANCE * before or information(before) - information(after) < needed:
         return math.inf, None
     omega = 2 * math.pi * float(end[0])
     cos, sin = math.cos(omega * origin), math.sin(omega * origin)

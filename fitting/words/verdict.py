@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from fitting import noise_levels
 from fitting.judge.adequacy import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.judge.calibrations import UNITS
+from fitting.judge.evidence import slows_under_load
 from fitting.judge.goodness import REJECTED
 from fitting.laws import ALL_LAWS
-from fitting.model.unknowns import Global
 from fitting.result import LawResult, Ranking
 from processing.record.motion import Finding
 from stickslip.output.lengths import format_length
@@ -95,7 +95,7 @@ def _of_six(ranking: Ranking) -> list[str]:
         split = SPLITS.get(frozenset(int(row.law) for row in members[:2]), f"more cycles{OTHER_SPEEDS}")
         if ranking.runs:
             split = split.removesuffix(OTHER_SPEEDS)
-        if _gives(ranking):
+        if slows_under_load(ranking.best.fit):
             head = f"{best.called} on a belt that slows under load, or {others}: the record cannot distinguish them"
             return [head, _fit(ranking, best.label), f"{split} would distinguish them"]
         lag, best_lag = (0.0 if row.behind is None else row.behind[0] for row in (members[1], best))
@@ -132,15 +132,9 @@ def _constant_friction(ranking: Ranking) -> str:
         return head + f"{_with_parameters(best)}, by the start-up drag"
     if len(six) == 1:
         return head + f"{best.called}, the only law fitted"
-    if _gives(ranking):
+    if slows_under_load(ranking.best.fit):
         return head + f"{best.called} on a belt that slows under load, or law 2: a belt tachometer would distinguish"
     return head + "law 1 or law 2: the start-up drag does not distinguish a jump from a ramp"
-
-
-def _gives(ranking: Ranking) -> bool:
-    """Whether the best law was fitted on a belt that slows under load, though not measured."""
-    measured = all(side.motion.belt_measured for side in ranking.sides)
-    return not measured and Global.COMPLIANCE in ranking.best.fit.places
 
 
 def _of_formula(ranking: Ranking) -> list[str]:

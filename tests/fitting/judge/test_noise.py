@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.judge.goodness import PositionNoise, estimate_noise, reading_pitch
+from fitting.judge.goodness import PositionNoise, estimate_noise
 
 RATE = 1000.0
 
@@ -23,7 +23,7 @@ def left_over(noise, seed=1, belt_speed=0.0):
     n = time.size
     windows = SimpleNamespace(table=np.array([[0, 0, 0, n, 0, 0]]), source=np.arange(n))
     resolution = max(noise.pitch / np.sqrt(12), noise.white)
-    read = {"measured": position - residual, "time": time, "velocity": velocity, "resolution": resolution}
+    read = {"step": noise.pitch, "time": time, "velocity": velocity, "resolution": resolution}
     return windows, residual, np.array([True]), SimpleNamespace(**read, belt_speed=belt_speed)
 
 
@@ -41,7 +41,6 @@ def left_over(noise, seed=1, belt_speed=0.0):
 def test_rounding_white_noise_and_jitter_are_found_apart(noise):
     windows, residual, inliers, motion = left_over(noise)
     found = estimate_noise(windows, residual, inliers, motion)
-    assert found.pitch == pytest.approx(noise.pitch, rel=1e-3)
     assert found.white == pytest.approx(noise.white, rel=0.1, abs=1e-12)
     assert found.jitter == pytest.approx(noise.jitter, rel=0.1, abs=2e-6)
     assert found.sd(motion.velocity) == pytest.approx(np.std(residual), rel=0.06)
@@ -53,11 +52,3 @@ def test_the_pattern_of_counts_in_the_sticks_is_no_noise(counts):
     noise = PositionNoise(7.67e-6, 0.0, 0.0)
     found = estimate_noise(*left_over(noise, belt_speed=counts * noise.pitch * RATE))
     assert (found.white, found.jitter) == (0.0, 0.0)
-
-
-def test_counts_printed_with_few_decimals_have_the_pitch_of_the_counter():
-    # 7.67 um printed to 0.1 um are multiples of no printed step: the pitch came out as 0, and the noise as white.
-    count = 0.12566 / 4096 / 4
-    position = np.round(count * np.floor(0.1 * (1 + np.sin(np.arange(20_000) / 300)) / count), 7)
-    assert reading_pitch(position) == pytest.approx(count, rel=1e-6)
-    assert reading_pitch(np.random.default_rng(1).standard_normal(5000)) == 0.0  # on no grid
