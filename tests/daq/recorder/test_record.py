@@ -342,6 +342,22 @@ def test_neither_a_file_nor_the_journal_of_a_crashed_run_is_overwritten(tmp_path
     assert (tmp_path / name).read_bytes() == b"precious"
 
 
+def test_a_disk_that_is_full_meanwhile_keeps_the_journal_and_says_what_to_do(tmp_path, take, monkeypatch):
+    left = iter(range(5))
+
+    def sync(writer):
+        if next(left, None) is None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        writer._file.flush()
+
+    monkeypatch.setattr(journal, "SYNC_EVERY_S", 0.0)
+    monkeypatch.setattr(journal.Writer, "sync", sync)
+    with pytest.raises(DeviceError, match=r"disk is full.*daq recover .*run\.h5\.part"):
+        take(board())
+    assert journal.read(tmp_path / "run.h5.part").records
+    assert not (tmp_path / "run.h5").exists()
+
+
 @pytest.mark.parametrize("by", ["file", "event"])
 def test_a_stop_or_a_file_beside_the_journal_ends_the_recording_as_the_first_ctrl_c_does(tmp_path, attach, by):
     attach(board(paced=True))
