@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 import daq
-from daq.finalise import run as finalise
 from daq.protocols.request import RecordRequest
 from daq.recorder import reader
-from daq.recorder.record import RecordingInterruptedError, record
-from daq.runfile import journal
+from daq.recorder.record import record
 
 from ..boards import AWAY_S, FakeLabelled, FakeUpForLong, motion
 
@@ -131,22 +129,3 @@ def test_an_unplugged_board_is_found_again_and_the_gap_is_told_in_ms(make_fake, 
     assert 1e3 * AWAY_S <= gap_ms < 1e3 * AWAY_S + 3000
     assert any("reopened" in warning and "ms are missing" in warning for warning in found.warnings)
     assert found.lost == 0
-
-
-def test_a_recovered_journal_gives_the_same_samples(make_fake, tmp_path):
-    fake = make_fake({1500: "drop"})
-
-    def interrupt(seconds):
-        if seconds * fake.rate_hz > 6000 * fake.unit + fake.lead:
-            raise KeyboardInterrupt
-
-    request = RecordRequest(
-        str(fake.path), tmp_path / "run.h5", None, 3000, protocol=fake.protocol, columns=fake.columns
-    )
-    with pytest.raises(RecordingInterruptedError):
-        record(request, progress=interrupt)
-    part = tmp_path / "run.h5.part"
-    assert journal.read(part).header["protocol"] == fake.protocol
-    found = finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
-    assert found.lost == fake.unit
-    assert np.ptp(offsets(fake, daq.load(tmp_path / "run.h5"))) == 0

@@ -89,13 +89,13 @@ def test_a_stream_that_takes_nothing_costs_nothing(board, tmp_path, number, stre
 def test_signals_that_were_ignored_at_the_start_stay_ignored(board, tmp_path):
     # nohup used to be defeated; so was the SIGINT that a shell keeps from its background jobs.
     output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
-    recorder = start(["sh", "-c", 'trap "" HUP INT; exec "$@"', "sh", *record_line(board, output, 3)], part)
+    recorder = start(["sh", "-c", 'trap "" HUP INT; exec "$@"', "sh", *record_line(board, output, 2)], part)
     for number in (signal.SIGHUP, signal.SIGINT) * 3:
         recorder.send_signal(number)
         time.sleep(0.1)
     code, _, err = finish(recorder)
     assert code == 0, err
-    assert_whole(output, 3000)
+    assert_whole(output, 2000)
 
 
 def test_a_port_that_stays_away_is_reported_at_once_and_ends_in_exit_4(board, tmp_path):

@@ -11,11 +11,6 @@ TIME = np.arange(1000) / 500
 X = 0.01 * np.sin(6 * TIME)
 # A mistake in Python, and the call that the message names.
 MISTAKES = [
-    (lambda: daq.Recording.from_arrays(TIME, X, belt_speed="5 cm"), "belt_speed: 'cm' is not a unit of speed"),
-    (lambda: daq.load("table.csv", unit="mm"), "did you mean 'x_unit'?"),
-    (lambda: daq.load("table.csv", x_unit="mm/s"), "x_unit: 'mm/s' is not a unit of length"),
-    (lambda: daq.load("table.csv", positon=2), "did you mean 'position'?"),
-    (lambda: daq.load("force.csv"), "give spring_force='F', stiffness='168 N/m'"),
     (lambda: daq.load("pixels.csv"), "x_unit='0.25 mm', a pixel?"),
     (lambda: daq.load("run.h5", mass=0.3), "arguments of fitting.rank"),
     (lambda: daq.record((TIME, X), "new.h5", rate_hz=500), "daq.Recording.from_arrays(t, x).save(path)"),
@@ -29,11 +24,10 @@ MISTAKES = [
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Go into a folder with a run and tables."""
+    """Go into a folder with a run and a table."""
     monkeypatch.chdir(tmp_path)
     daq.Recording.from_arrays(TIME, X).save("run.h5")
-    for name, header, column in (("table", "t,x", X), ("force", "t (s),F (N)", X), ("pixels", "t (s),x", 1e4 * X)):
-        np.savetxt(f"{name}.csv", np.c_[TIME, column], delimiter=",", header=header, comments="")
+    np.savetxt("pixels.csv", np.c_[TIME, 1e4 * X], delimiter=",", header="t (s),x", comments="")
     return tmp_path
 
 

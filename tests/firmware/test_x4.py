@@ -38,7 +38,7 @@ def ramp(rates_hz, steps_each, jitter=0.2, seed=1):
     [
         ("uno", 150_000, 5000, 1_000_000, 3),
         ("mega", 150_000, 5000, 1_000_000, 3),
-        pytest.param("uno", 150_000, 1000, 115_200, 10, marks=pytest.mark.slow),
+        pytest.param("uno", 150_000, 1000, 115_200, 5, marks=pytest.mark.slow),
         pytest.param("mega", 100_000, 1000, 115_200, 5, marks=pytest.mark.slow),
     ],
 )

@@ -64,19 +64,6 @@ def test_damping_is_not_biased_by_friction(zeta, friction):
     assert found.omega0.sd < 1e-4 * W
 
 
-@pytest.mark.slow
-def test_an_exponential_alone_would_have_been_far_off():
-    """The logarithmic decrement of the first and the last peak, which most labs take, for comparison."""
-    t, x = recorded(0.002, 100.0)
-    peaks = [
-        np.max(x[t >= 1] - 37.25),
-        np.max((x - 37.25)[(t > 1 + 17.5 * math.pi / W) & (t < 1 + 18.5 * math.pi / W)]),
-    ]
-    decrement = math.log(peaks[0] / peaks[1]) / (18 * math.pi)
-    assert decrement > 2 * 0.002
-    assert ring_down.fit_ring_down(t, x, 1.0).zeta.value == pytest.approx(0.002, rel=0.01)
-
-
 def test_friction_that_weakens_with_speed_is_seen_and_does_not_bias_either():
     g = 6e-5  # per count/s: at the fastest it is a fifth
     found = ring_down.fit_ring_down(*recorded(0.01, 300.0, g=g), 1.0)

@@ -45,10 +45,6 @@ def test_each_place_beats_the_next(places, monkeypatch):
     assert resolve()["port"] == "from user"
 
 
-def test_without_any_nothing_is_set():
-    assert resolve() == {}
-
-
 def test_the_rig_file_itself_may_come_from_the_environment(places, monkeypatch):
     monkeypatch.setenv("STICKSLIP_RIG", str(places))
     found = resolve()

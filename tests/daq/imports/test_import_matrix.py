@@ -92,8 +92,10 @@ BARE = {
 }
 
 
-@pytest.mark.parametrize(("unit", "t_unit"), [("mm", "s"), ("m", "ms"), ("um", "ms")])
-@pytest.mark.parametrize("form", BARE)
+@pytest.mark.parametrize(
+    ("form", "unit", "t_unit"),
+    [(form, *units) for form, units in zip(BARE, cycle([("mm", "s"), ("m", "ms"), ("um", "ms")]), strict=False)],
+)
 def test_a_unit_that_a_program_does_not_state_is_given(tmp_path, form, unit, t_unit):
     path = BARE[form](tmp_path, columns(unit, t_unit, ("t", "x")))
     names = {"time": "data.t", "position": "data.x"} if "structure" in form else {}
@@ -137,7 +139,15 @@ def test_a_text_of_kinovea_takes_its_names_from_its_comment(tmp_path, decimal):
 
 # Forces: the column's unit, and the stretch that a newton is.
 @pytest.mark.parametrize(
-    ("form", "unit"), [*zip(FORMATS, cycle(("N", "mN", "kgf")), strict=False), ("csv", "mN"), ("csv", "kgf")]
+    ("form", "unit"),
+    [
+        ("csv", "N"),
+        ("csv", "mN"),
+        ("numpy.savetxt", "N"),
+        ("LabVIEW", "mN"),
+        ("workbook", "kgf"),
+        ("TDMS waveform", "N"),
+    ],
 )
 def test_a_column_of_forces_suggests_the_spring_and_is_read_as_its_stretch(tmp_path, form, unit):
     """Its advice used to be about pixels: "--x-unit '0.25 mm' for a pixel of that size"."""
@@ -193,8 +203,13 @@ BELTS = {
 }
 
 
-@pytest.mark.parametrize("belt", BELTS)
-@pytest.mark.parametrize("form", ["csv", "LabVIEW", "LabVIEW, an X column each", "workbook", "TDMS waveform"])
+@pytest.mark.parametrize(
+    ("form", "belt"),
+    [
+        *(("csv", belt) for belt in BELTS),
+        *zip(("LabVIEW", "LabVIEW, an X column each", "workbook", "TDMS waveform"), BELTS, strict=True),
+    ],
+)
 def test_a_column_of_the_belt_becomes_its_counts(tmp_path, form, belt):
     own = [*columns(), BELTS[belt]]
     path = programs.lvm(tmp_path / "t.lvm", own, x_columns="Multi") if "each" in form else FORMATS[form](tmp_path, own)

@@ -35,6 +35,8 @@ def test_a_table_is_the_run_that_the_command_makes_of_it(table, tmp_path, capsys
     assert application.run(app, ["import", str(table), "-o", str(tmp_path / "run.h5"), *flags, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["samples"] == 1000
     found = daq.load(table, x_unit="cm", mass="300 g", x0="-1 mm +- 0.1 mm", start="2024-05-01T12:00:00+02:00")
+    np.testing.assert_allclose(found.position, X / 100, rtol=1e-15)  # x0 is a reading: it moves none of them
+    assert (found.rig.x0, found.rig.datum) == (Measured(-1e-3, 1e-4), None)
     by_command = daq.load(tmp_path / "run.h5")
     np.testing.assert_array_equal(found.position, by_command.position)
     np.testing.assert_array_equal(found.time, by_command.time)
@@ -56,16 +58,12 @@ def test_vectors_of_a_matlab_file_are_columns_bit_for_bit(tmp_path):
     assert said.startswith("read as: vectors of a MATLAB file, time from column 't' in s")
 
 
-def test_columns_are_chosen_by_number(tmp_path):
-    np.savetxt(tmp_path / "track.txt", np.c_[X, X + 1, TIME], delimiter="\t", header="a\tb\tc", comments="")
-    np.testing.assert_allclose(daq.load(tmp_path / "track.txt", time=3, position=2).position, X + 1)
-
-
 def test_what_the_command_warns_about_is_a_warning(table):
     table.write_text(table.read_text().replace("t,x", "t (s),x (mm)"))
     with pytest.warns(UserWarning, match=r"track.csv: .* is read in cm") as caught:
-        daq.load(table, x_unit="cm")
+        found = daq.load(table, x_unit="cm")  # the option wins
     assert caught[0].filename == __file__
+    np.testing.assert_allclose(found.position, X / 100, rtol=1e-15)
 
 
 def test_the_date_of_an_imported_file_is_said_to_be_that(table, tmp_path, capsys):

@@ -69,18 +69,6 @@ def test_a_known_walk_counts_as_walked(path, chunk, write_capture):
     assert totals(path, channels="B=A,A=B") == capture.Totals(60, 101, -41, 0, 161)
 
 
-def test_both_channels_at_once_are_illegal_and_not_counted(path, write_capture):
-    write_capture(path, [0, 1, 3, 0, 1], {0: "A", 1: "B"})
-    assert totals(path, channels="A=A,B=B") == capture.Totals(3, 0, 3, 1, 4)
-
-
-def test_step_and_direction_count_rises(path, write_capture):
-    step = np.array([1, 0, 1, 0, 1, 1, 0, 1, 0])  # high from the start: not seen to rise
-    direction = np.array([1, 1, 1, 1, 1, 0, 0, 0, 0])
-    write_capture(path, step + 2 * direction, {0: "step", 1: "dir"})
-    assert totals(path, step="0", direction="dir") == capture.Totals(2, 1, 1, 0, 3)
-
-
 METADATA = "[device 1]\ncapturefile=logic-1\nsamplerate=1 MHz\nunitsize=1\nprobe1=A\nprobe2=B\n"
 BYTES = bytes([0, 1, 3, 2] * 250)
 
@@ -158,16 +146,9 @@ def test_a_chunk_that_is_missing_is_named(path, write_capture):
         totals(path, channels="A=0,B=1")
 
 
-LEFT_RIGHT = "avago_adns_2051_move_mouse_left_right.sr"
-UP_DOWN = "avago_adns_2051_move_mouse_up_down.sr"
-
-
-@pytest.mark.parametrize(("name", "channels", "edges"), [(LEFT_RIGHT, "A=XA,B=XB", 1041), (UP_DOWN, "A=YA,B=YB", 629)])
-def test_a_mouse_moves_by_the_stated_edges(captures, name, channels, edges):
-    found = totals(captures / name, channels=channels)
-    assert found.edges == edges
-    assert found.illegal == 0
-    assert found.up + found.down == edges
+def test_a_mouse_moves_by_the_stated_edges(captures):
+    found = totals(captures / "avago_adns_2051_move_mouse_left_right.sr", channels="A=XA,B=XB")
+    assert (found.edges, found.illegal, found.up + found.down) == (1041, 0, 1041)
 
 
 @pytest.mark.parametrize(("step", "direction"), [("3", "4"), ("5", "6")])

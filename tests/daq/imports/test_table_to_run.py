@@ -198,13 +198,6 @@ def test_a_table_is_read_as_its_header_and_the_options_say(csv, text, changes, t
     assert found.even == (np.ptp(np.diff(time)) < 1e-9)
 
 
-def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv):
-    csv.write_text("t,x (cm)\n0,1\n2,3\n")
-    found = table_to_run.read(csv, ImportOptions(x_unit="mm"))
-    assert found.run.position.tolist() == [0.001, 0.003]
-    assert "not in cm" in found.warnings[0]
-
-
 @pytest.mark.parametrize("belt", [0.22, -0.22])
 def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv, belt):
     time, x = sawtooth(400, belt=belt)
@@ -316,19 +309,6 @@ def test_the_command_writes_a_run_that_loads(csv, app, capsys):
     assert recording.rig.mass == Measured(pytest.approx(0.3), pytest.approx(0.001))
     assert recording.rig.belt_speed == Measured(0.22)
     assert recording.rig.datum == Measured(0.002)
-
-
-@pytest.mark.parametrize("text", ["-60 mm +- 0.1 mm", "-0.06 +- 1e-4"])
-def test_the_rest_position_is_a_reading_and_leaves_the_readings_as_they_are(csv, app, text):
-    """There was --datum alone, which is -x0 and is added to every position; '-60 mm' was taken for a flag."""
-    time, x = sawtooth(400)
-    make(csv, "t (s),x (m)\n", zip(time, x, strict=True))
-    target = csv.with_name("run.h5")
-    assert application.run(app, ["import", str(csv), "-o", str(target), "--x0", text]) == 0
-    recording = store.load(target)
-    np.testing.assert_allclose(recording.position, x, atol=1e-9)
-    assert recording.rig.x0 == Measured(pytest.approx(-0.06), pytest.approx(1e-4))
-    assert recording.rig.datum is None
 
 
 @pytest.mark.parametrize(("flag", "value"), [("--x0", "-5 m"), ("--datum", "5 m")])

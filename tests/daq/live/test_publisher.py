@@ -49,14 +49,6 @@ def look(writer: journal.Writer) -> Callable[..., dict[str, Any]]:
     return look
 
 
-def test_a_board_that_loses_samples_is_called_out(keep_journal: Callable[..., Path]) -> None:
-    run = LiveRun(keep_journal("gaps.rate=2", "gaps.duration=0.05"))
-    run.look()
-    first = told(run)[0]
-    assert first["counts"]["lost"] > 50
-    assert first["trouble"] == f"the board loses samples: {first['counts']['lost']} in the last 10 s"
-
-
 def test_a_loss_of_samples_is_called_out_for_ten_seconds(writer: journal.Writer, look: Any) -> None:
     run = LiveRun(writer.path)
     before = 0

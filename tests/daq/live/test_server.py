@@ -193,7 +193,7 @@ def test_a_viewer_waits_for_the_first_record(keep_journal, tmp_path, capsys):
 @pytest.mark.slow  # it records in real time
 def test_a_viewer_that_is_killed_leaves_the_recording_alone(tmp_path):
     run = tmp_path / "run.h5"  # the whole path, so that pkill finds no viewer of a test that runs beside this one
-    line = [sys.executable, "-m", "daq.cli.app", "record", "--live", "--no-browser", "--duration", "6", "--json"]
+    line = [sys.executable, "-m", "daq.cli.app", "record", "--live", "--no-browser", "--duration", "3", "--json"]
     with started([*line, "--output", str(run)]) as process:
         lines = iter(process.stderr.readline, "")
         url = urlsplit(next(text.strip() for text in lines if text.startswith("http")))
@@ -204,15 +204,7 @@ def test_a_viewer_that_is_killed_leaves_the_recording_alone(tmp_path):
                 time.sleep(0.01)
         output, _ = process.communicate(timeout=60)
     found = json.loads(output)
-    assert (process.returncode, found["samples"], found["lost"], found["ended"]) == (0, 6000, 0, "complete")
-
-
-def test_a_journal_that_vanishes_or_is_replaced_ends_the_view_with_a_reason(viewer):
-    viewer.grow(0.5)
-    viewer.part.rename(viewer.part.with_name("elsewhere.h5.part"))
-    (_, last) = viewer.events(0, 10_000)[-1]
-    assert "has been moved or removed" in last["ended"]
-    viewer.process.communicate(timeout=20)
+    assert (process.returncode, found["samples"], found["lost"], found["ended"]) == (0, 3000, 0, "complete")
 
 
 def test_a_finished_run_is_served_until_it_is_interrupted(keep_journal):

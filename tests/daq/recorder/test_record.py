@@ -9,6 +9,7 @@ import threading
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -370,25 +371,21 @@ def test_a_stop_or_a_file_beside_the_journal_ends_the_recording_as_the_first_ctr
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
-def test_an_interrupted_recording_or_recover_is_completed_by_recover(tmp_path, attach):
+def test_recover_completes_its_own_run_and_replaces_no_other(tmp_path, attach):
     # "The output file exists", it used to say, of the run file that was made of this journal.
     attach(board(), board())
-    part, run = tmp_path / "run.h5.part", tmp_path / "run.h5"
-    with pytest.raises(RecordingInterruptedError, match="daq recover") as caught:
-        record(request(tmp_path), progress=interrupt)
-    assert (caught.value.exit_code, run.exists()) == (130, False)
-    journal.markers_path(part).write_text(f"{time.monotonic_ns()} a hand\n")
+    part, run, other = tmp_path / "run.h5.part", tmp_path / "run.h5", tmp_path / "other.h5"
+    for output in (run, other):
+        with pytest.raises(RecordingInterruptedError, match="daq recover"):
+            record(replace(request(tmp_path), output=output), progress=interrupt)
     shutil.copy(part, tmp_path / "kept")
-    assert finalise.finalise(part, run, finished_by="daq recover").samples > 0
+    finalise.finalise(part, run, finished_by="daq recover")
     made = run.read_bytes()
     shutil.copy(tmp_path / "kept", part)
     finalise.finalise(part, run, finished_by="daq recover")
-    assert (run.read_bytes(), part.exists()) == (made, False)
-    with pytest.raises(RecordingInterruptedError):
-        record(replace(request(tmp_path), output=tmp_path / "other.h5"), progress=interrupt)
     with pytest.raises(InputError, match="exists"):
-        finalise.finalise(tmp_path / "other.h5.part", run, finished_by="daq recover")
-    assert (run.read_bytes(), (tmp_path / "other.h5.part").exists()) == (made, True)
+        finalise.finalise(Path(f"{other}.part"), run, finished_by="daq recover")
+    assert (run.read_bytes(), part.exists(), Path(f"{other}.part").exists()) == (made, False, True)
 
 
 def test_a_recovered_file_is_the_finished_one_up_to_who_finished_it(tmp_path, take, monkeypatch):
@@ -482,33 +479,6 @@ def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tm
     assert any("force reversal" in warning for warning in found.warnings)
     kinds = dict(zip(store.load(output).event_kind, store.load(output).event_note, strict=True))
     assert "force reversal" in kinds["notice"]
-
-
-def test_a_damaged_journal_gives_all_but_the_damage_and_is_kept(tmp_path):
-    # It used to be cut at the damage and then removed: what came after was lost for good.
-    whole = tmp_path / "whole.h5"
-    part = tmp_path / "run.h5.part"
-
-    class KeptError(Exception):
-        pass
-
-    def keep(seconds: float) -> None:
-        if seconds >= 2:
-            raise KeptError
-
-    with pytest.raises(KeptError):
-        record(RecordRequest("rig://rig", tmp_path / "run.h5", duration_s=3), progress=keep)
-    shutil.copy(part, tmp_path / "whole.h5.part")
-    taken = finalise.finalise(tmp_path / "whole.h5.part", whole, finished_by="test").samples
-    content = bytearray(part.read_bytes())
-    middle = len(content) // 2
-    content[middle : middle + 300] = bytes(300)
-    part.write_bytes(content)
-    found = finalise.finalise(part, tmp_path / "run.h5", finished_by="test")
-    assert part.read_bytes() == content
-    assert taken - 2000 < found.samples < taken
-    assert found.samples + found.lost == taken
-    assert any("damaged" in warning and "run.h5.part" in warning for warning in found.warnings)
 
 
 def test_the_peak_edge_rate_is_that_of_the_motion_at_any_sample_rate(tmp_path):

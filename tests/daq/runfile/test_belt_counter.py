@@ -158,13 +158,6 @@ def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
     assert run.belt_velocity is None
 
 
-def test_the_calibration_of_the_belts_encoder_reads_back_and_is_checked() -> None:
-    rig = Rig(metres_per_count=Measured(1e-5), belt_metres_per_count=Measured(-2e-5, 1e-9))
-    assert Rig.from_toml(rig.to_toml(), "x") == rig
-    with pytest.raises(InputError, match="belt_metres_per_count is 0"):
-        Rig.from_toml("[encoder]\nbelt_metres_per_count = 0.0\n", "rig.toml")
-
-
 def test_a_replayed_run_has_its_belt_and_another_calibration_gives_it_another_speed(tmp_path: Path) -> None:
     first = recorded(tmp_path / "run.h5", "belt.channel=true", "gaps.rate=0.4", "gaps.duration=0.7")
     assert len(set(first.segment.tolist())) > 1

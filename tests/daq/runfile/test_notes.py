@@ -29,29 +29,19 @@ def daq(*arguments: str | Path) -> int:
     return application.run(app, [str(argument) for argument in arguments])
 
 
-def test_notes_are_written_and_read_back(tmp_path: Path) -> None:
-    file = tmp_path / "run.h5"
-    noted = {"operator": "Ada", "sample_name": "brass on steel", "note": "two\nlines", "tags": {"humidity": "45 %"}}
-    store.write(file, imported_run(**noted))
-    again = store.load(file)
-    assert {name: getattr(again, name) for name in noted} == noted
-    with h5py.File(file) as opened:
-        assert opened["entry/sample/name"][()] == b"brass on steel"
-        assert opened["entry/notes"].attrs["NX_class"] == "NXnote"
-
-
 def test_a_finished_run_is_annotated_and_keeps_its_samples_and_stages(tmp_path: Path) -> None:
     file = tmp_path / "run.h5"
     events = {"event_sample": np.array([100, 300], np.uint32), "event_kind": ("gap", "notice")}
     events["event_note"] = ("3 samples", "low battery")
-    store.write(file, imported_run(**events, operator="Ada", tags={"a": "1", "b": "2"}))
+    store.write(file, imported_run(**events, operator="Ada", sample_name="brass on steel", tags={"a": "1", "b": "2"}))
     store.extend(file, "smooth", lambda entry: entry.create_group("smooth") and None)
     before, identity = datasets(file), h5py.File(file)["entry/entry_identifier_uuid"][()]
     marks = [(2.004, "a hand"), (1.0, "after the gap")]
     store.annotate(file, {"title": "new", "operator": "", "tags": {"a": "3", "b": ""}}, marks)
-    store.annotate(file, {"note": "later"})
+    store.annotate(file, {"note": "two\nlines"})
     again = store.load(file)
-    assert (again.title, again.operator, again.note, again.tags) == ("new", "", "later", {"a": "3"})
+    assert (again.title, again.operator, again.note, again.tags) == ("new", "", "two\nlines", {"a": "3"})
+    assert again.sample_name == "brass on steel"
     assert again.event_sample.tolist() == [100, 100, 200, 300]
     assert again.event_kind == ("gap", "marker", "marker", "notice")
     assert again.event_note == ("3 samples", "after the gap", "a hand", "low battery")
@@ -60,6 +50,8 @@ def test_a_finished_run_is_annotated_and_keeps_its_samples_and_stages(tmp_path: 
     with h5py.File(file) as opened:
         assert opened["entry/entry_identifier_uuid"][()] == identity
         assert opened["entry/data"].attrs["title"] == "new"
+        assert opened["entry/sample/name"][()] == b"brass on steel"
+        assert opened["entry/notes"].attrs["NX_class"] == "NXnote"
         assert "operator" not in opened["entry"]
         assert "smooth" in opened["entry"]
         # A run written with these notes at once has the same tree.

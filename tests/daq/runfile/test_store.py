@@ -257,27 +257,6 @@ def test_nxcheck_finds_no_errors_and_no_warnings_at_any_stage_in_what_the_schema
     assert nxcheck(path) == (0, 0)
 
 
-def test_default_attributes_lead_to_a_plot_of_links_not_copies(path: Path) -> None:
-    shown = []
-    for name in ("data", "smooth", "fit"):
-        extend(path, *([name] if name != "data" else ()))
-        with h5py.File(path) as file:
-            group = file
-            while "default" in group.attrs:
-                group = group[group.attrs["default"]]
-            assert group.attrs["NX_class"] == "NXdata"
-            assert group[group.attrs["signal"]].shape == group[group.attrs["axes"]].shape
-            shown.append((group.name, group.attrs["signal"]))
-    assert shown == [
-        ("/entry/data", "value"),
-        ("/entry/smooth/phase_portrait", "velocity"),
-        ("/entry/fit/ranking", "weight"),
-    ]
-    with h5py.File(path) as file:
-        for name in ("time", "value"):
-            assert file[f"entry/data/{name}"] == file[f"entry/instrument/encoder/value_log/{name}"]
-
-
 def test_xarray_reads_tables_over_time(path: Path) -> None:
     need(importlib.util.find_spec("xarray"), "xarray is not installed")
     import xarray
@@ -303,6 +282,8 @@ def test_types_and_units_are_those_of_the_layout(path: Path) -> None:
         assert {name: item.dtype.str[1:] for name, item in raw.items()} == wanted
         assert file["entry/instrument/encoder/value_log/raw_value"].dtype == np.int64
         assert h5py.check_enum_dtype(file["entry/events/kind"].dtype) == EVENTS
+        for name in ("time", "value"):  # links, not copies
+            assert file[f"entry/data/{name}"] == file[f"entry/instrument/encoder/value_log/{name}"]
         assert file["entry/duration"][()] == 20  # 20.5 s, an even integer nearest
         assert np.issubdtype(file["entry/duration"].dtype, np.integer)
         without: list[str] = []
@@ -355,16 +336,6 @@ def test_a_stage_that_fails_leaves_the_file_as_it_was(path: Path) -> None:
         store.extend(path, "raw", lambda entry: None)
     assert path.read_bytes() == before
     assert [item.name for item in path.parent.iterdir()] == ["run.h5"]
-
-
-def test_an_existing_file_is_refused_and_kept(tmp_path: Path) -> None:
-    path = tmp_path / "run.h5"
-    path.write_text("precious")
-    with pytest.raises(InputError, match="exists; give another name, or force=True"):
-        store.write(path, run())
-    assert path.read_text() == "precious"
-    store.write(path, run(), force=True)
-    assert store.load(path).title == "a run"
 
 
 @pytest.mark.parametrize(

@@ -13,24 +13,15 @@ NONE = np.empty(0, dtype=np.int64)
 
 @given(
     st.sampled_from([8, 16, 24, 32]),
-    st.integers(0, 1 << 40),
-    st.lists(st.integers(0, 255), max_size=50),
+    st.lists(st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1)), min_size=1, max_size=30),
 )
-def test_a_counter_unwraps_to_what_it_counted(bits, start, steps):
-    true = start + np.cumsum([0, *steps])
-    got = counters.unwrap(true % (1 << bits), bits)
-    assert np.array_equal(got - got[0], true - true[0])
-    assert got[0] == start % (1 << bits)
-
-
-@given(st.lists(st.tuples(st.integers(0, 65535), st.integers(0, 65535)), min_size=1, max_size=30))
-def test_net_counts_follow_both_counters_through_any_number_of_roll_overs(moves):
-    up = np.cumsum([move[0] for move in moves])
-    down = np.cumsum([move[1] for move in moves])
-    net = counters.net_count((up % 65536).astype(np.uint16), (down % 65536).astype(np.uint16), 16)
+def test_net_counts_follow_both_counters_through_any_number_of_roll_overs(bits, moves):
+    width = 1 << bits
+    up, down = (np.cumsum([move[which] % width for move in moves]) for which in (0, 1))
+    net = counters.net_count((up % width).astype(np.uint32), (down % width).astype(np.uint32), bits)
     assert np.array_equal(np.diff(net), np.diff(up - down))
-    assert (net[0] - (up - down)[0]) % 65536 == 0
-    assert -32768 <= net[0] < 32768
+    assert (net[0] - (up - down)[0]) % width == 0
+    assert -width // 2 <= net[0] < width // 2
 
 
 def test_the_longest_safe_gap_is_the_counters_range_over_the_rate():
@@ -64,19 +55,6 @@ def test_a_frame_that_comes_again_is_left_out(at, late):
     assert np.flatnonzero(~order.keep).tolist() == [at + late]
     assert not order.restart.any()
     assert np.array_equal(order.index[order.keep], np.arange(60) * 8)
-
-
-def test_no_frames_have_no_order():
-    assert len(placed(NONE).keep) == 0
-
-
-@given(st.integers(-100_000, 100_000), st.lists(st.integers(-3000, 3000), max_size=40))
-def test_clean_counts_agree_with_their_levels(start, moves):
-    n = start + np.cumsum([0, *moves])
-    forward = np.cumsum(np.maximum(np.diff(n, prepend=0), 0))
-    backward = forward - n
-    up, down = (forward % 65536).astype(np.uint16), (backward % 65536).astype(np.uint16)
-    assert not counters.phase_error(up, down, levels_of(n)).any()
 
 
 @pytest.mark.parametrize("error", [1, 2, 3])

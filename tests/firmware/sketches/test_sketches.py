@@ -75,9 +75,7 @@ def recovered(folder, data, rate_hz, lines):
     return json.loads(said.getvalue()), daq.load(folder / "run.h5")
 
 
-@pytest.mark.parametrize(
-    "lines", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)], ids=["20 s", "a million lines"]
-)
+@pytest.mark.parametrize("lines", [20_000, pytest.param(200_000, marks=pytest.mark.slow)], ids=["20 s", "200 s"])
 @pytest.mark.parametrize("board", BOARDS)
 def test_the_lines_of_a_sketch_are_read_without_an_error(host, tmp_path, board, lines):
     data, truth = printed(host(board), tmp_path, lines, pause=200)
@@ -183,15 +181,3 @@ def test_the_command_writes_a_sketch_with_its_wiring_and_what_was_tested(tmp_pat
     assert said["encoder_pins"] in out
     assert "--protocol text" in out
     assert said["tested"] in " ".join(out.split())
-
-
-def test_a_sketch_that_was_changed_is_kept_unless_forced(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    line = ["firmware", "--board", "esp32", "-o", "here", "--json"]
-    assert application.run(app, line) == 0
-    mine = next((tmp_path / "here").rglob("*.ino"))
-    mine.write_text("my own\n")
-    assert application.run(app, line) == 2
-    assert mine.read_text() == "my own\n"
-    assert application.run(app, [*line, "--force"]) == 0
-    assert mine.read_text() != "my own\n"
