@@ -99,7 +99,11 @@ NOWHERE = (3, "/dev/ttyNO")
 RUN = "run base --until 9 --rate 1 -o a.csv"
 RK4, DOP853 = f"{RUN} --method rk4-henon", f"{RUN} --method dop853"
 SHAKER = "shaker --m 1 --k 1 --c 0.1 --gamma 0.4"
-STIFF = ("map of two masses", "with a coupling of 1e+09 one event takes more than 200000", "use a coupling.a of 2e+06 or")
+STIFF = (
+    "map of two masses",
+    "with a coupling of 1e+09 one event takes more than 200000",
+    "use a coupling.a of 2e+06 or",
+)
 MEMORY = (
     "--set friction.law=lugre --set friction.s0=15e3 --set friction.s1=60 --set friction.Fc=0.6 --set friction.v_s=0.1 "
     "--set drive.u0=0.1 --set drive.omega=2"
@@ -235,7 +239,12 @@ REFUSED = [
     # daq check and calibrate: nobody is asked to leave the mass alone, or to pull it aside, before this is known.
     ("daq check --port /dev/ttyNOPE", *NOWHERE),
     ("daq check --port rig://rig --rate 0", "--rate"),
+    ("daq check --port rig://", "names no scene"),
     ("daq check --port rig://nope", "nope"),
+    ("daq check --port rig://base", "no encoder"),
+    ("daq check --port rig://rig?set=friction.gama%3D3", "friction.gama"),
+    ("daq check --port rig://rig?speed=3", "unknown option speed"),
+    ("daq check --port rig://rig?realtime=yes", "unknown option realtime"),
     ("daq check --port /dev/null --protocol qsb --rate 1000", "1000 Hz"),
     ("daq check --protocol qbs", "--protocol"),
     ("daq check --parked -1", "--parked"),

@@ -70,14 +70,6 @@ def test_events_are_those_of_40_digits(curve: list[list[float]], changes: dict[s
     assert max(abs(float(x - at)) for x, (_, _, at) in zip(found.x, expected, strict=True)) < 1e-12
 
 
-@pytest.mark.slow
-def test_interpreted_and_compiled_lists_are_the_same() -> None:
-    moving = flow(STRIBECK)
-    plain = list_events(moving, 0.0, 0.0, 60.0)
-    machine = list_events(moving, 0.0, 0.0, 60.0, compiled=True)
-    assert (plain.t, plain.x, plain.kinds) == (machine.t, machine.x, machine.kinds)
-
-
 def test_two_points_and_equal_points_are_laws_3_and_1() -> None:
     for curve, law, outcome in (
         ([[0.0, 1.0], [2.0, 0.9]], 3, "cycle"),

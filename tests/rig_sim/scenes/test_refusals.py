@@ -129,6 +129,7 @@ FILES = [  # content, words of the refusal
     (b"a = " + b"[" * 5000, "nested too deeply"),  # a RecursionError
     (b"\xff\xfe\x00", "cannot be read"),
     (b"", "mass is missing"),
+    (b"# much\n" * 200_000, "too large for a scene: over 1048576 bytes"),
     (b"[mass]\nm = 1\n[spring]\nk = 1\nkk = 3\n", "unknown key 'spring.kk'; did you mean 'k'"),
     *(
         (f"{BARE}[friction]\n{friction}\n".encode(), *said)
