@@ -354,6 +354,15 @@ REFUSED = [
     ("process smooth schema999.h5", "schema999.h5", "999"),
     ("process smooth run.h5 --window 0.02", "--window", "0.02", "20ms"),
     ("process smooth run.h5 --belt-speed fast", "--belt-speed", "fast", "22 cm/s"),
+    ("process smooth run.h5 --window 40", "--window: window is 40; need an odd number above order 4; use 41"),
+    ("process smooth run.h5 --window broad", "--window: window is 'broad'"),
+    ("process smooth run.h5 --method spline", "--method: method is 'spline'; known: auto, segment, rts, sg, fd"),
+    ("process smooth run.h5 --method rts --order 4", "rts has no window"),
+    ("process smooth run.h5 --method fd --window 41", "finite differences have no window"),
+    ("process smooth run.h5 --times guessed", "--times: times is 'guessed'; known: recorded, nominal"),
+    ("process smooth run.h5 --order 0", "--order: order is 0; give 1 to 20"),
+    ("process smooth run.h5 --order two", "see 'process smooth --help'"),
+    ("process smooth run.h5 --repair-counts yes", "--repair-counts: is 'yes'; known: off, flag, fix"),
     ("process smooth run.h5 --from 5 --to 2", "from 5 to 2 s", "the run lasts", "--from and --to"),
     ("process export run.h5", "nothing to write", "-o FILE.csv"),
     ("process export run.h5 --csv out.xlsx", "out.xlsx", "spreadsheet", "out.csv"),
@@ -416,7 +425,6 @@ REFUSED = [
     ("daq import table.csv -o new.h5 --belt 22cm", "--belt-speed", "did you mean 'cm/s'?"),
     ("daq export run.h5", "give -o FILE.csv or -o FILE.parquet"),
     ("process inspect run.h5 -o", "write a value after -o"),
-    ("process smooth run.h5 --window 20", "use 21"),
     ("stickslip fitt run.h5", "Did you mean", "fit"),
 ]
 

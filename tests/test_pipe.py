@@ -8,10 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import h5py
-import numpy as np
 import pytest
-import xarray
 
 from stickslip.console import application
 
@@ -88,20 +85,6 @@ def test_the_parameters_of_the_true_law_come_back(pipe):
         assert "unit" in parameter
 
 
-def test_the_run_file_opens_on_a_plot_for_nexus_h5py_and_xarray(pipe):
-    _, folder, _, _, _ = pipe
-    with h5py.File(folder / "run.h5") as file:
-        node = file
-        while node.attrs.get("NX_class") != "NXdata":
-            node = node[node.attrs["default"]]
-        assert node.attrs["signal"] in node
-        raw = file["entry/raw"]
-        assert np.all(np.diff(raw["sample"][:].astype(int)) == 1)
-    with xarray.open_dataset(folder / "run.h5", engine="h5netcdf", group="entry/smooth/kinematics") as kinematics:
-        assert kinematics["velocity"].dims == ("time",)
-        assert kinematics["time"].size == 12_000
-
-
 def test_the_validator_finds_nothing_to_say(pipe):
     _, folder, _, _, _ = pipe
     done = subprocess.run(
@@ -114,33 +97,3 @@ def test_the_validator_finds_nothing_to_say(pipe):
     text = done.stdout + done.stderr
     assert "Total number of errors: 0" in text, text[-3000:]
     assert "Total number of warnings: 0" in text, text[-3000:]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn_reports", "no_rivals")
-def test_a_jump_law_is_not_left_in_a_poor_minimum_that_its_ramp_law_avoids(tmp_path):
-    # Law 3 used to err by 255 um here where law 4 with a ramp of next to no width erred by 83: law 4 was named.
-    changes = (
-        "friction.law=3", "seed=4", "scatter.Fs=0.0979", "wear.rate=0.00251", "joint.kick=-0.0106",
-        "jitter.rms=2.64e-05", "damper.c=0.01329", "encoder.circumference=0.8192",
-    )  # fmt: skip
-    flags = [part for change in changes for part in ("--set", change)]
-    called(tmp_path, "daq", "record", "--duration", 30, "-o", "run.h5", *flags)
-    fitted = called(tmp_path, "fit-friction", "run.h5", codes=(0, 5))
-    assert fitted["set"][0] == 3, fitted["verdict"]
-    rms = {row["law"]: row["rms_m"] for row in fitted["ranking"]}
-    assert rms[3] < 1.02 * rms[4]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("undrawn_reports", "no_rivals")
-def test_law_5_on_a_belt_that_gives_one_per_cent_cannot_be_told_from_law_6(tmp_path):
-    changes = ["--set", "droop.fraction=0.01", "--set", "seed=2"]
-    called(tmp_path, "daq", "record", "--rate", 1000, "-o", "run.h5", *changes)
-    fitted = called(tmp_path, "fit-friction", "run.h5", codes=(5,))
-    assert fitted["set"] == [5, 6]
-    drooping, ramp = fitted["ranking"][:2]
-    assert drooping["rms_m"] < 3e-6  # the encoder's counts, and nothing else
-    assert drooping["parameters"]["droop"]["value"] == pytest.approx(0.01 * 0.22, rel=0.02)
-    assert ramp["parameters"]["d"]["value"] == pytest.approx(0.01 * 0.22, rel=0.02)
-    assert any("slows under load" in warning for warning in fitted["warnings"])
