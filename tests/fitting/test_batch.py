@@ -14,7 +14,6 @@ from pathlib import Path
 import h5py
 import pytest
 
-import daq
 import fitting
 from daq.runfile.rig import Rig
 from fitting import batch, cli, job
@@ -146,11 +145,6 @@ def test_a_bug_or_a_foreign_report_is_that_runs_own_error_and_stops_no_other(fol
     assert "ZeroDivisionError" in document["runs"][1]["error"]["what"]
     assert document["runs"][2]["set"] == [3]
     assert code == 1
-
-
-def test_no_job_is_refused(folder):
-    with pytest.raises(InputError, match="jobs is 0"):
-        command.fit(folder / "five.h5", each=True, jobs=0)
 
 
 def is_running(process):
@@ -305,14 +299,6 @@ def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
     assert table.attrs["units"]["gamma"] == "s/m"
     assert list(table.error.isna()) == [True, False, False, False]
     assert table.error[3] == str(missing.error)
-
-
-@pytest.mark.slow
-def test_rank_each_in_processes_of_recordings_in_memory(folder, alone):
-    runs = {name: daq.load(folder / f"{name}.h5") for name in ("five", "three")}
-    for name, run in zip(runs, fitting.rank_each(list(runs.values()), laws=(3, 5), jobs=2), strict=True):
-        document = without_times(application.plain(run.ranking.as_json()))
-        assert document["ranking"] == alone(all_compete=True)[name]["ranking"]
 
 
 @pytest.mark.parametrize(

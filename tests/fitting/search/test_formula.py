@@ -30,12 +30,6 @@ def of(law, values):
     return Target.of(s, friction, float(np.median(friction)))
 
 
-@pytest.mark.parametrize(("name", "true"), TRUE.items())
-def test_a_published_curve_is_found_without_starting_values(name, true):
-    law = PUBLISHED[name]
-    assert find_starts(law, of(law, true))[0].values == pytest.approx(true, rel=1e-4)
-
-
 @pytest.mark.parametrize(("name", "true"), [*(TRUE | EXTREME).items()])
 def test_a_published_curve_is_found_from_rest_on(name, true):
     law, speeds = PUBLISHED[name], np.linspace(0.0, 0.5, 200)
