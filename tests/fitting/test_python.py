@@ -270,6 +270,8 @@ MISTAKES = [
         lambda run: fitting.Law("mine", MINE, start={"v": 1}),
         "start: v is no parameter of law mine; did you mean 'v_s'?",
     ),
+    (lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.2, 0.1)}), "bounds: bounds of v_s"),
+    (lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.0, None)}, start={"v_s": -1}), "start: v_s is -1"),
     (lambda run: fitting.Law("mine", abs), 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")'),
 ]
 OF_A_RANKING = [
