@@ -11,7 +11,6 @@ import pytest
 from fitting.judge import departures
 from fitting.judge.departures import (
     Base,
-    amplitude,
     explain_misfit,
     find_best_scale,
     find_candidates,
@@ -21,7 +20,7 @@ from fitting.judge.departures import (
 )
 from fitting.judge.library import DEPARTURES
 from fitting.laws import SIX
-from fitting.model.forces import Forcing, spaced
+from fitting.model.forces import Forcing
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -195,16 +194,3 @@ def test_more_trials_take_standard_deviations_away():
 def test_an_error_of_the_reading_is_named_by_what_read_it(counted, words):
     """Camera tracks with lens distortion were reported with "an eccentric encoder wheel"; the name of the row stays."""
     assert LIBRARY["eccentricity"].says(counted=counted) == words
-
-
-def test_a_sine_and_a_cosine_are_one_amplitude():
-    found = amplitude(np.array([3e-4, 4e-4]), np.stack([np.eye(2) * 1e-12, np.eye(2) * 1e-13]))
-    assert (found.value, found.sd) == pytest.approx((5e-4, 1e-6))
-
-
-def test_wavelengths_are_a_quarter_of_the_resolution_apart():
-    found = spaced(0.05, 0.3, 0.25)
-    np.testing.assert_allclose(np.diff(1 / found), 1.0)
-    assert found.max() <= 0.3
-    assert found.min() > 0.05
-    assert spaced(0.3, 0.05, 0.25).size == 0

@@ -11,14 +11,6 @@ from fitting.model import windows
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 
 
-def test_the_line_through_the_levels():
-    time = np.arange(20.0)
-    found = windows.level_trend(time, 3.0 * (1 - 0.01 * time))
-    assert found.rate.value == pytest.approx(0.01, rel=1e-12)
-    assert found.rate.sd == pytest.approx(0.0, abs=1e-12)
-    assert found.first.value * 3.0 * (1 - 0.01 * 9.5) == pytest.approx(3.0, rel=1e-12)
-
-
 def test_its_error_is_that_of_the_scatter():
     rng = np.random.default_rng(8)
     time = np.arange(20.0)
@@ -27,10 +19,6 @@ def test_its_error_is_that_of_the_scatter():
         found = windows.level_trend(time, (1 - 0.004 * time) * (1 + 0.05 * rng.standard_normal(20)))
         z.append((found.rate.value - 0.004) / found.rate.sd)
     assert np.mean(np.abs(z) < 2.101) == pytest.approx(0.95, abs=0.035)  # t of 18 degrees of freedom
-
-
-def test_three_levels_are_no_trend():
-    assert windows.level_trend(np.arange(3.0), np.ones(3)) is None
 
 
 @pytest.mark.parametrize("law", [3, pytest.param(6, marks=pytest.mark.slow)])
