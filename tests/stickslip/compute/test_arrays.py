@@ -1,16 +1,9 @@
-"""Runs of a mask and the integrated autocorrelation time."""
+"""The integrated autocorrelation time."""
 
 import numpy as np
 import pytest
 
-from stickslip.compute.arrays import autocorrelation_time, runs
-
-
-def test_runs_are_half_open_and_in_order():
-    assert runs(np.array([True, True, False, True, False])) == [(0, 2), (3, 4)]
-    assert runs(np.array([False, True, True])) == [(1, 3)]
-    assert runs(np.zeros(7, bool)) == []
-    assert runs(np.zeros(0, bool)) == []
+from stickslip.compute.arrays import autocorrelation_time
 
 
 def test_autocorrelation_time_of_white_noise_is_about_one():
@@ -28,9 +21,3 @@ def test_autocorrelation_time_of_a_first_order_process_is_its_closed_form():
             r[k] = rho * r[k - 1] + e[k]
         pieces.append(r)
     assert autocorrelation_time(pieces) == pytest.approx((1 + rho) / (1 - rho), rel=0.15)
-
-
-def test_autocorrelation_time_is_never_below_one():
-    assert autocorrelation_time([np.tile([1.0, -1.0], 50)]) == 1.0
-    assert autocorrelation_time([np.zeros(9)]) == 1.0
-    assert autocorrelation_time([]) == 1.0
