@@ -16,7 +16,6 @@ from fitting.judge.departures import (
     find_candidates,
     fit_departure,
     linear_steps,
-    sigmas,
 )
 from fitting.judge.library import DEPARTURES
 from fitting.laws import SIX
@@ -179,13 +178,6 @@ def test_a_thinned_record_chooses_the_same_scale(base_of):
     thin = base.thinned()
     assert thin.linear.residual.size < 0.5 * base.linear.residual.size
     assert find_best_scale(thin, departure) == pytest.approx(find_best_scale(base, departure), rel=0.1)
-
-
-def test_more_trials_take_standard_deviations_away():
-    assert sigmas(math.log(2 * 2.866515719235352e-07)) == pytest.approx(5.0)  # two tails of a normal variable
-    assert sigmas(-20.0, 100) < sigmas(-20.0)
-    assert sigmas(-2000.0) == pytest.approx(63.1, abs=0.2)  # beyond what a tail can be written as a number
-    assert sigmas(-1.0, 1e6) == 0.0
 
 
 @pytest.mark.parametrize(
