@@ -91,15 +91,6 @@ def test_firmware_on_a_full_disk_is_a_disks_failure_and_leaves_no_empty_file(ful
         assert all(path.stat().st_size > 0 for path in (tmp_path / "fw").iterdir())
 
 
-def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, monkeypatch):
-    def refuse(*_, **__):
-        raise PermissionError(13, "Permission denied", "some.partial")
-
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(disk.RefusedError, match=r"out.h5: may not be written; give a place"):
-        atomic.replacing(tmp_path / "out.h5", force=False).__enter__()
-
-
 def twice(x):
     return 2.0 * x
 
