@@ -220,15 +220,6 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("asked_law_alone")
-def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(smoothed, cluster):
-    runs = [smoothed(law=5, duration=10.0, belt=speed) for speed in (0.15, 0.25)]
-    here, there = (fitting.rank(runs, laws=(3, 5), scheduler=address) for address in (None, cluster))
-    assert there.laws_in_set == here.laws_in_set
-    assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]
-
-
-@pytest.mark.slow
 def test_a_scheduler_killed_in_the_middle_leaves_the_finished_runs(folder, capsys, own_scheduler, worker, monkeypatch):
     """Used to end in a traceback, without a table, though the first run was fitted and stored."""
     process, address = own_scheduler

@@ -53,14 +53,6 @@ def test_an_orbit_approached_from_both_sides_has_period_one():
     assert settle(moved(Logistic(2.985))).period == 1
 
 
-def test_exponent_of_the_logistic_map_is_log_two():
-    found = exponent(moved(Logistic(4.0)), 20_000)
-    assert found.exponent == pytest.approx(math.log(2.0), abs=4.0 * found.stderr)
-    assert found.stderr < 0.01
-    regular = exponent(moved(Logistic(3.2)), 100)
-    assert (regular.exponent, regular.period) == (pytest.approx(0.5 * math.log(0.16), abs=1e-12), 2)
-
-
 def test_rotation_numbers_of_the_circle_map():
     golden = 0.5 * (math.sqrt(5.0) - 1.0)
     free = moved(Circle(golden, 0.0))
