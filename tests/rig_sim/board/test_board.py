@@ -219,7 +219,7 @@ def test_a_motion_that_cannot_go_on_says_so() -> None:
 
 
 def test_the_rig_is_a_pyserial_url() -> None:
-    port = serial.serial_for_url("rig://rig?set=friction.law%3D3&set=seed%3D4", timeout=1)
+    port = serial.serial_for_url("RIG://rig/?set=friction.law%3D3&set=seed%3D4", timeout=1)
     assert type(port).__module__ == "rig_sim.protocol_rig"
     assert isinstance(port, Serial)
     reader = FrameReader()

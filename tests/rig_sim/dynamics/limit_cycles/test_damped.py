@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from rig_sim.analyses.limit_cycles.branches import continuation
-from rig_sim.analyses.limit_cycles.fixed_point import fixed_point
+from rig_sim.analyses.limit_cycles.fixed_point import fixed_point, quadratic_roots
 from rig_sim.analyses.limit_cycles.floquet import floquet
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
@@ -36,6 +36,12 @@ def test_a_mass_on_the_fixed_point_of_any_law_stays(law, v_belt):
     flow = flow_of(law, c=0.1, v_belt=v_belt, droop=0.02 if law != 5 else 0.0)
     x = fixed_point(flow).x
     assert list_events(flow, x, 0.0, 20.0).kinds in ((), ("S>N",), ("S>P",))  # on the edge of slip it may let go once
+
+
+@pytest.mark.parametrize(("a", "b", "c"), [(1.0, 1e8, 1.0), (2.0, -3.0, 1.0), (1.0, 2.0, 1.0), (1.0, 0.0, 4.0)])
+def test_roots_solve_their_equation_without_cancellation(a, b, c):
+    for root in quadratic_roots(a, b, c):
+        assert abs(a * root * root + b * root + c) <= 1e-15 * (abs(a * root * root) + abs(b * root) + c)
 
 
 @pytest.mark.parametrize("case", REFERENCE["unstable_orbit"], ids=lambda case: str(case["c"]))
