@@ -11,7 +11,7 @@ from fitting.model import windows
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 
 
-def test_its_error_is_that_of_the_scatter():
+def test_the_error_of_a_trend_is_that_of_the_scatter():
     rng = np.random.default_rng(8)
     time = np.arange(20.0)
     z = []
@@ -19,6 +19,10 @@ def test_its_error_is_that_of_the_scatter():
         found = windows.level_trend(time, (1 - 0.004 * time) * (1 + 0.05 * rng.standard_normal(20)))
         z.append((found.rate.value - 0.004) / found.rate.sd)
     assert np.mean(np.abs(z) < 2.101) == pytest.approx(0.95, abs=0.035)  # t of 18 degrees of freedom
+
+
+def test_three_levels_are_no_trend():
+    assert windows.level_trend(np.arange(3.0), np.ones(3)) is None
 
 
 @pytest.mark.parametrize("law", [3, pytest.param(6, marks=pytest.mark.slow)])

@@ -135,11 +135,11 @@ def test_a_result_draws_into_axes_or_a_figure_of_its_own(results, name):
         assert found.plot(ax=second) is second.figure
         assert second.get_xlabel() or second.get_ylabel()
         assert not first.has_data()
-        before = plt.get_fignums()
+        before = plt.get_fignums(), dict(plt.rcParams)
         drawn = found.plot()
         assert isinstance(drawn, Figure)
         assert drawn._repr_png_().startswith(b"\x89PNG")
-        assert plt.get_fignums() == before  # pyplot does not manage it
+        assert (plt.get_fignums(), dict(plt.rcParams)) == before  # pyplot does not manage it
     finally:
         plt.close("all")
 
