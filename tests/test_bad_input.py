@@ -82,8 +82,9 @@ def folder(tmp_path_factory, write_capture):
 
 @pytest.fixture(autouse=True)
 def alone(monkeypatch, tmp_path):
-    """Keep the tester's own settings out."""
+    """Keep the tester's own settings out, and measure no CPU times: nothing here is about them."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setattr("rig_sim.comparison.error_vs_time.LONG_ENOUGH_S", 0.0)
 
 
 def contents(folder):
@@ -95,32 +96,116 @@ REPLAY = "daq replay -o new.h5"
 PAIR = "pair.sr --channels A=A,B=B"
 NOWHERE = (3, "/dev/ttyNO")
 
+RUN = "run base --until 9 --rate 1 -o a.csv"
+RK4, DOP853 = f"{RUN} --method rk4-henon", f"{RUN} --method dop853"
+SHAKER = "shaker --m 1 --k 1 --c 0.1 --gamma 0.4"
+STIFF = (
+    "map of two masses",
+    "with a coupling of 1e+09 one event takes more than 200000",
+    "use a coupling.a of 2e+06 or",
+)
+MEMORY = (
+    "--set friction.law=lugre --set friction.s0=15e3 --set friction.s1=60 --set friction.Fc=0.6 --set friction.v_s=0.1 "
+    "--set drive.u0=0.1 --set drive.omega=2"
+)
+RIG_SIM = [
+    ("rule", "Unknown command"),
+    ("cycles base", "cycles", "Did you mean", "cycle"),
+    ("cycle", "SCENE requires an argument", "as in 'rig-sim cycle base"),
+    ("run.h5", "did you mean 'process smooth run.h5'"),
+    # scenes
+    ("cycle base --set friction.Gama=1", "scene base", "did you mean 'gamma'"),
+    ("cycle base --set belts.speed=3", "belts", "belt"),
+    ("cycle base --set friction=3", "friction", "friction.KEY"),
+    ("cycle base --set friction", "--set", "write section.key=value"),
+    ("cycle base --set friction.law=true", "scene base", "friction.law is True", "it should be 0, 1, 2, 3, 4, 5, 6,"),
+    ("cycle base --set belt.ripple_hz=2", "scene base", "belt.ripple_hz without belt.ripple"),
+    ("cycle bad.toml", "bad.toml", "mass.m"),
+    ("cycle basic", "basic", "did you mean 'base'"),
+    ("cycle none.toml", "none.toml", "no such file", "base"),
+    ("cycle run.h5", "run.h5", "not a text file", "--save-scene"),
+    ("cycle /dev/full", "/dev/full", "is a folder or a device"),  # it was read for ever
+    ("cycle folder", "folder", "is a folder or a device"),
+    ("cycle two-mass", "scene two-mass", "remove the section coupling"),
+    ("map base --d 0.1", "scene base", "has one mass", "set coupling.a and coupling.b"),
+    ("events two-mass --until 1 --set start.attractor=9", "scene two-mass", "start.attractor is 9"),
+    # motions
+    ("events base", "--until", "rig-sim events --help"),
+    ("events rig --until -1", "--until", "give a positive number"),
+    ("events rig --until nan", "--until", "not a valid time"),
+    ("events rig --until 1 --max-steps 0", "--max-steps", "give a positive number"),
+    ("run rig --until 1 --rate 10 -o table.csv", "table.csv", "the output file exists", "--force"),
+    ("run rig --until 1 --rate 10 -o a.png", "a.png", "give a name in .h5 or .csv"),
+    ("run rig --until 1 --rate 10 -o none/a.csv", "none/a.csv", "its folder does not exist"),
+    ("run base --until 10 --rate 1e12 -o foo.csv", "1e+13 samples", "--rate"),
+    (f"{RUN} --method rk5", "rk5", "Choose from", "exact"),
+    (f"{RUN} --step 0.1", "--step", "exact has no step", "--method=rk4-henon"),
+    (f"{RUN} --rtol 0.1", "--rtol", "exact has no tolerance", "--method=dop853"),
+    (f"{DOP853} --step 0.1", "--step", "dop853 has no step", "--method=rk4-henon"),
+    (f"{DOP853} --rtol 1", "--rtol", "is 1", "give at least 2.3e-14 and less than 1, such as 1e-9"),
+    (f"{RK4} --step 0", "--step", "give a positive number"),
+    (f"{RK4} --step 9", "--step", "too long a step to follow it"),
+    (f"{RK4} --step 100", "--step", "the period of the mass is 6.283", "give 1 (a sixth of it) or less"),
+    ("compare base --until 1e6", "--until", "every method would step through all of them", "2000 periods"),
+    ("compare rig --until 0.1", "--until", "no event"),
+    # analyses
+    ("basins two-mass --cells 1000.5", "1000.5 is not a whole number"),  # it was read as 1000
+    ("sweep base --over belt.speed=0.1:0.2:2", "scene base", "set drive.u0 and drive.omega"),
+    ("sweep forced --over drive.omega", "--over", "START:STOP:N"),
+    ("sweep forced --over drive.omga=1:2:3", "drive.omga", "did you mean 'omega'"),
+    ("sweep forced --over drive.omega=1:2:2 --section map", "--section", "is map, which is for two masses"),
+    ("sweep two-mass --over belt.speed=0.1:0.2:2 --section slip", "--section", "is slip, which is for a driven mass"),
+    ("sweep two-mass", "--over requires an argument; as in 'rig-sim sweep two-mass --over"),
+    ("lyapunov forced --set drive.omega=0", "scene forced", "set drive.omega"),
+    ("lyapunov forced --events 3", "--events", "give 20 to"),
+    ("lyapunov base --events 100", "has no drive", "drive.u0"),
+    ("quench base", "scene base", "set drive.u0 and drive.omega"),
+    # at coupling.a = 1e9 each of 41 values took its 2e7 steps, 10 s
+    ("basins two-mass --set coupling.a=1e9", *STIFF),
+    ("sweep two-mass --over belt.speed=0.1:0.2:41 --set coupling.a=1e9", *STIFF),
+    *(
+        (f"continue damped --over {over}", "--over", said)
+        for over, said in (
+            ("damper.c", "not a range of a parameter"),
+            ("damper.c=1:1", "give two different finite numbers"),
+            ("damper.c=0:nan", "give two different finite numbers"),
+            ("damper.c=0:1:1", "give 2 to"),
+            ("damper.c=a:b", "contains something that is not a number"),
+        )
+    ),
+    ("continue damped --over damper.c=0.3:0.6 --plot c.png", "--plot; "),  # "Unknown option: --plot.;"
+    # control
+    (f"{SHAKER} --a 1", "--phi requires an argument"),
+    (f"{SHAKER} --a -1 --phi 3", "--a", "give 0 or more"),
+    (f"{SHAKER} --a nan --phi 3", "--a", "not a valid damping"),
+    (f"{SHAKER} --a 1 --phi inf", "--phi", "not a valid angle"),
+    *((f"{SHAKER} --a 1 --phi 3 --band {band}", "--band", "not a band") for band in ("2:1", "1", "-1:2")),
+    ("lock base --period 1 --budget 0.1", "scene base", "has no drive to control"),
+    ("lock two-mass --period 1 --budget 0.1", "scene two-mass", "has two masses"),
+    ("lock forced --period 0 --budget 0.1", "--period", "give 1 to 100 landings"),
+    ("lock forced --period 1 --budget -0.1", "--budget", "give 0 or more"),
+    ("lock forced --period 1 --budget 2", "--budget", "from 0 to 1"),
+    ("lock forced --period 1 --budget 0.1 --events 0", "--events", "give 1 to"),
+    ("lock forced --period 1 --budget 0.1 --set drive.u0=0", "scene forced", "amplitude could be controlled"),
+    ("atlas nofigure -o out", "nofigure", "known"),
+    *(
+        (f"{line} {MEMORY}", "scene rig", "friction law with memory")
+        for line in (
+            "floquet rig",
+            "compare rig --until 3",
+            "continue rig --over friction.Fc=0.5:0.6",
+            "sweep rig --over belt.speed=0.1:0.2:2",
+            "lyapunov rig",
+            "quench rig",
+            "lock rig --period 1 --budget 0.1",
+            "run rig --until 1 --rate 10 --method dop853 -o x.csv",
+        )
+    ),
+]
+
 # A line as typed, its exit code where it is not 2, and words of the one line on stderr.
 REFUSED = [
-    # Scenes and rig-sim.
-    ("rig-sim cycle base --set friction.gama=3", "friction.gama", "gamma"),
-    ("rig-sim cycle base --set belts.speed=3", "belts", "belt"),
-    ("rig-sim cycle base --set friction=3", "friction", "friction.KEY"),
-    *((f"rig-sim cycle base --set mass.m={value}", "mass.m") for value in ("nan", "inf", "-1", "0")),
-    ("rig-sim cycle base --set friction.law=9", "friction.law is 9", "1, 2, 3"),
-    ("rig-sim cycle bad.toml", "bad.toml", "mass.m"),
-    ("rig-sim cycle basic", "basic", "base"),
-    ("rig-sim cycle none.toml", "none.toml", "no such file", "base"),
-    ("rig-sim cycle run.h5", "run.h5", "not a text file", "--save-scene"),
-    ("rig-sim cycles base", "cycles", "Did you mean", "cycle"),
-    ("rig-sim run.h5", "did you mean 'process smooth run.h5'"),
-    ("rig-sim run base --until 10 --rate 1e12 -o foo.csv", "1e+13 samples", "--rate"),
-    ("rig-sim run base --until 10 --rate 100 --method euler -o out.csv", "euler", "exact"),
-    ("rig-sim events base", "--until", "rig-sim events --help"),
-    ("rig-sim events base --until -5", "--until", "-5", "positive"),
-    ("rig-sim sweep forced --over drive.omega", "--over", "START:STOP:N"),
-    ("rig-sim sweep forced --over drive.omga=1:2:3", "drive.omga", "did you mean 'omega'"),
-    ("rig-sim continue base --over belt.speed=0.2:0.2", "--over", "two different"),
-    ("rig-sim map base --d 1", "has one mass", "two-mass"),
-    ("rig-sim lyapunov base --events 100", "has no drive", "drive.u0"),
-    ("rig-sim lock forced --period 2 --budget 10", "--budget", "10", "from 0 to 1"),
-    ("rig-sim atlas nofigure -o out", "nofigure", "known"),
-    ("rig-sim continue damped --over damper.c=0.3:0.6 --plot c.png", "--plot; "),  # "Unknown option: --plot.;"
+    *((f"rig-sim {line}", *words) for line, *words in RIG_SIM),
     # stickslip: an error names the command that was typed.
     ("stickslip fit none.h5", "stickslip: none.h5: no such file; check the path"),
     ("stickslip sim cycle nowhere", "stickslip: scene: no built-in scene 'nowhere'"),
@@ -154,7 +239,12 @@ REFUSED = [
     # daq check and calibrate: nobody is asked to leave the mass alone, or to pull it aside, before this is known.
     ("daq check --port /dev/ttyNOPE", *NOWHERE),
     ("daq check --port rig://rig --rate 0", "--rate"),
+    ("daq check --port rig://", "names no scene"),
     ("daq check --port rig://nope", "nope"),
+    ("daq check --port rig://base", "no encoder"),
+    ("daq check --port rig://rig?set=friction.gama%3D3", "friction.gama"),
+    ("daq check --port rig://rig?speed=3", "unknown option speed"),
+    ("daq check --port rig://rig?realtime=yes", "unknown option realtime"),
     ("daq check --port /dev/null --protocol qsb --rate 1000", "1000 Hz"),
     ("daq check --protocol qbs", "--protocol"),
     ("daq check --parked -1", "--parked"),
@@ -264,6 +354,15 @@ REFUSED = [
     ("process smooth schema999.h5", "schema999.h5", "999"),
     ("process smooth run.h5 --window 0.02", "--window", "0.02", "20ms"),
     ("process smooth run.h5 --belt-speed fast", "--belt-speed", "fast", "22 cm/s"),
+    ("process smooth run.h5 --window 40", "--window: window is 40; need an odd number above order 4; use 41"),
+    ("process smooth run.h5 --window broad", "--window: window is 'broad'"),
+    ("process smooth run.h5 --method spline", "--method: method is 'spline'; known: auto, segment, rts, sg, fd"),
+    ("process smooth run.h5 --method rts --order 4", "rts has no window"),
+    ("process smooth run.h5 --method fd --window 41", "finite differences have no window"),
+    ("process smooth run.h5 --times guessed", "--times: times is 'guessed'; known: recorded, nominal"),
+    ("process smooth run.h5 --order 0", "--order: order is 0; give 1 to 20"),
+    ("process smooth run.h5 --order two", "see 'process smooth --help'"),
+    ("process smooth run.h5 --repair-counts yes", "--repair-counts: is 'yes'; known: off, flag, fix"),
     ("process smooth run.h5 --from 5 --to 2", "from 5 to 2 s", "the run lasts", "--from and --to"),
     ("process export run.h5", "nothing to write", "-o FILE.csv"),
     ("process export run.h5 --csv out.xlsx", "out.xlsx", "spreadsheet", "out.csv"),
@@ -292,6 +391,21 @@ REFUSED = [
     ("fit-friction run.h5 --fix gamma", "--fix", "NAME=VALUE", "gamma=9.6"),
     ("fit-friction run.h5 --bound gamma=5:1", "--bound", "gamma", "lower one first"),
     ("fit-friction run.h5 run.h5", "named twice", "once"),
+    ("fit-friction run.h5 --alpha 0", "--alpha", "alpha is 0"),
+    ("fit-friction run.h5 --alpha 1e-300", "--alpha", "alpha is 1e-300"),
+    ("fit-friction run.h5 --mass 0", "mass"),
+    ("fit-friction run.h5 --damping -1", "damping"),
+    ("fit-friction run.h5 --datum 1mm --datum-sd -1e-3", "deviation"),
+    ("fit-friction run.h5 --x0 1mm --datum-sd 1mm", "--x0 and --datum-sd together"),
+    ("fit-friction run.h5 --datum '1 mm +- 1 mm' --datum-sd 1mm", "--datum with +- and --datum-sd together"),
+    ("fit-friction run.h5 --damping '0.1 +- 0.1' --damping-sd 0.1", "--damping with +- and --damping-sd together"),
+    ("fit-friction run.h5 --from 20", "fewer than two samples"),
+    ("fit-friction run.h5 --no-report --report x.html", "together"),
+    ("fit-friction run --csv run --force", "run", "own source"),
+    ("fit-friction run.h5 --csv new.h5", "this is a CSV table", "(--csv)"),
+    ("fit-friction run.h5 --curve-csv curve.png", "curve.png", "(--curve-csv)"),
+    ("fit-friction run.h5 --save-scene new.h5", "this is a TOML file", "(--save-scene)"),
+    ("fit-friction run.h5 --save-scene bad.toml", "bad.toml", "exists", "--force"),
     ("fit-friction run.h5 --report none/out.html", "none/out.html", "folder does not exist"),
     ("fit-friction run.h5 --jobs 0", "--jobs", "0", "1 or more"),
     # What a person types who has not read the help: a flag, a unit, a suffix or a command was guessed.
@@ -326,9 +440,6 @@ REFUSED = [
     ("daq import table.csv -o new.h5 --belt 22cm", "--belt-speed", "did you mean 'cm/s'?"),
     ("daq export run.h5", "give -o FILE.csv or -o FILE.parquet"),
     ("process inspect run.h5 -o", "write a value after -o"),
-    ("process smooth run.h5 --window 20", "use 21"),
-    ("rig-sim cycle", "as in 'rig-sim cycle base"),
-    ("rig-sim sweep two-mass", "--over requires an argument; as in 'rig-sim sweep two-mass --over"),
     ("stickslip fitt run.h5", "Did you mean", "fit"),
 ]
 

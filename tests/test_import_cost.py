@@ -26,6 +26,7 @@ HELP = {
     "fit-friction": "",
     "rig-sim": "scenes cycle events run compare",
 }
+LIGHT = "numpy scipy mpmath pandas matplotlib numba h5py serial"
 LOADER = """
 import json, sys
 found = []
@@ -62,7 +63,8 @@ def test_help_loads_no_numerical_package(command):
     ("command", "line", "needed", "spared"),
     [
         ("daq", "record --duration 0.5 --json", "numpy h5py serial", "scipy pandas matplotlib numba jinja2"),
-        ("rig-sim", "cycle base --json", "", "scipy pandas matplotlib numba h5py serial"),
+        ("rig-sim", "cycle base --json", "", LIGHT),
+        ("rig-sim", "events rig --until 20 --json", "", LIGHT),
         ("process", "smooth law5.h5 --json", "numba", "pandas matplotlib"),
     ],
 )

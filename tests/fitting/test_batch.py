@@ -14,7 +14,6 @@ from pathlib import Path
 import h5py
 import pytest
 
-import daq
 import fitting
 from daq.runfile.rig import Rig
 from fitting import batch, cli, job
@@ -148,11 +147,6 @@ def test_a_bug_or_a_foreign_report_is_that_runs_own_error_and_stops_no_other(fol
     assert code == 1
 
 
-def test_no_job_is_refused(folder):
-    with pytest.raises(InputError, match="jobs is 0"):
-        command.fit(folder / "five.h5", each=True, jobs=0)
-
-
 def is_running(process):
     """Return whether a process is there and has not ended: in a container, none may wait for an orphan."""
     try:
@@ -226,15 +220,6 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("asked_law_alone")
-def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(smoothed, cluster):
-    runs = [smoothed(law=5, duration=10.0, belt=speed) for speed in (0.15, 0.25)]
-    here, there = (fitting.rank(runs, laws=(3, 5), scheduler=address) for address in (None, cluster))
-    assert there.laws_in_set == here.laws_in_set
-    assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]
-
-
-@pytest.mark.slow
 def test_a_scheduler_killed_in_the_middle_leaves_the_finished_runs(folder, capsys, own_scheduler, worker, monkeypatch):
     """Used to end in a traceback, without a table, though the first run was fitted and stored."""
     process, address = own_scheduler
@@ -305,14 +290,6 @@ def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
     assert table.attrs["units"]["gamma"] == "s/m"
     assert list(table.error.isna()) == [True, False, False, False]
     assert table.error[3] == str(missing.error)
-
-
-@pytest.mark.slow
-def test_rank_each_in_processes_of_recordings_in_memory(folder, alone):
-    runs = {name: daq.load(folder / f"{name}.h5") for name in ("five", "three")}
-    for name, run in zip(runs, fitting.rank_each(list(runs.values()), laws=(3, 5), jobs=2), strict=True):
-        document = without_times(application.plain(run.ranking.as_json()))
-        assert document["ranking"] == alone(all_compete=True)[name]["ranking"]
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ import pytest
 
 from daq.runfile import listing, store
 from daq.runfile.rig import Rig
-from fitting import cli, job
-from fitting.laws import Competitors, numbers
+from fitting import job
+from fitting.laws import Competitors
 from fitting.options import Options
 from fitting.report import stage as fit_stage
 from fitting.report import stage as table
@@ -42,14 +42,6 @@ def fitted(run, asked_laws_alone):
     shutil.copy(run, path)
     answer = command.fit(path, laws="3,5", csv=run.with_name("ranking.csv"), curve_csv=run.with_name("curve.csv"))
     return path, answer
-
-
-def test_numbers_and_ranges_are_read():
-    assert numbers("1-3,6", "--laws") == [1, 2, 3, 6]
-    assert numbers("", "--exclude-cycles") == []
-    for text in ("a", "3-1", "0", "1-", "-3"):
-        with pytest.raises(InputError):
-            numbers(text, "--laws")
 
 
 def test_the_document_has_the_promised_keys(fitted):
@@ -146,22 +138,6 @@ def test_damping_without_a_mass_is_refused(belt_rig, run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("flags", "what"),
-    [
-        ({"mass": Measured(0.0)}, "mass"),
-        ({"damping": Measured(-1.0)}, "damping"),
-        ({"datum_sd": -1e-3}, "deviation"),
-        ({"begin": 20.0}, "fewer than two samples"),
-        ({"no_report": True, "report": "x.html"}, "together"),
-    ],
-)
-def test_what_cannot_be_is_refused(run, flags, what):
-    with pytest.raises(InputError) as refused:
-        command.fit(run, **flags)
-    assert what in f"{refused.value.what} {refused.value.where}"
-
-
-@pytest.mark.parametrize(
     ("flag", "text", "said"),
     [
         ("report", "mine", "no report"),
@@ -177,12 +153,6 @@ def test_a_strangers_file_is_not_replaced(run, tmp_path, flag, text, said):
     with pytest.raises(InputError, match=said):
         command.fit(run, **{flag: mine})
     assert mine.read_text() == text
-
-
-def test_the_run_itself_is_not_replaced(run, tmp_path):
-    own = shutil.copy(run, tmp_path / "run")
-    with pytest.raises(InputError, match="own source"):
-        command.fit(own, csv=own)
 
 
 def test_a_part_of_a_run_is_fitted_without_a_report_or_anything_that_draws_one(run, tmp_path):
@@ -257,15 +227,3 @@ def test_the_measured_curve_is_a_table(fitted):
     columns = [[float(value) for value in column] for column in zip(*rows, strict=True)]
     assert columns[:4] == [curve[name] for name in ("speed", "friction", "lo", "hi")]
     assert all(low < law < high for low, high, law in zip(curve["lo"], curve["hi"], columns[4], strict=True))
-
-
-@pytest.mark.parametrize(
-    ("flag", "name"),
-    [("--report", "report.pdf"), ("--csv", "table.h5"), ("--curve-csv", "curve.png"), ("--save-scene", "rig.h5")],
-)
-def test_an_output_under_the_suffix_of_another_format_is_refused(run, capsys, flag, name):
-    """``--report report.pdf`` wrote HTML."""
-    target = run.with_name(name)
-    assert application.run(cli.app, [str(run), flag, str(target)]) == 2
-    assert f"({flag})" in capsys.readouterr().err
-    assert not target.exists()

@@ -54,34 +54,27 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        ({"laws": "7"}, "unknown law 7"),
+        ({"laws": "3-1"}, "3-1"),
         ({"laws": ""}, "no law to fit"),
         ({"laws": "5,strib"}, "did you mean 'stribeck'"),
         ({"law": ["mine"]}, "no published law"),
         ({"law": ["stribeck: Fs - G*s"]}, "name of a published law"),
         ({"law": ["mine: Fs", "mine: Fs - G*s"]}, "two laws have the name mine"),
         ({"ramp": ["mine"]}, "unknown law 'mine'"),
-        ({"fix": ["gama=1"]}, "did you mean 'gamma'"),
         ({"fix": ["3.gamma=1"]}, "no law that is fitted has a parameter 3.gamma"),
         ({"fix": ["mine.v_s=1"]}, "there is no law mine"),
         ({"laws": "5", "fix": ["d=0.1"]}, "no law that is fitted has a parameter d"),
-        ({"fix": ["gamma"]}, "is not NAME=VALUE"),
-        ({"fix": ["gamma=fast"]}, "not a number"),
         ({"fix": ["gamma=1", "gamma=2"]}, "given twice"),
         ({"fix": ["static=0.5"]}, "at least 1"),
         ({"fix": ["k/m=0"]}, "above 0"),
-        ({"bound": ["gamma=2:1"]}, "give the lower one first"),
         ({"bound": ["gamma=:"]}, "write LO:HI"),
         ({"bound": ["gamma=1:2"], "fix": ["gamma=1.5"]}, "fixed and has bounds"),
         ({"bound": ["gamma=1:2"], "start": ["gamma=3"]}, "not within 1 and 2"),
-        ({"law": ["5"]}, "did you mean laws 5"),
         ({"law": ["1-3"]}, "did you mean laws 1-3"),
-        ({"fix": ["gamma=9.6 kg"]}, "'kg' is not a unit of it; give a number in s/m"),
         ({"fix": ["gamma=inf"]}, "gamma is 'inf'"),
         ({"start": ["static=1.2 m"]}, "without a unit"),
         ({"fix": ["Fs=1 N", "Fs=4 m/s^2"]}, "given twice"),
-        ({"law": ["mine: Fs/(1+g*v)"]}, "did you mean s for v"),  # these were fitted as constants
-        ({"law": ["mine: Fs/(1+g*S)"]}, "did you mean s for S"),
+        ({"law": ["mine: Fs/(1+g*S)"]}, "did you mean s for S"),  # these were fitted as constants
         ({"law": ["mine: Fs/(1+g*v_rel)"]}, "did you mean s for v_rel"),
         ({"law": ["mine: Fs*exp(-velocity/v_s)"]}, "did you mean s for velocity"),
         ({"law": ["mine: v"]}, "did you mean s for v"),
@@ -159,10 +152,10 @@ def test_an_end_that_is_not_given_is_that_of_the_law(given, bounds):
     assert law.bounds["v_s"] == bounds
 
 
-@pytest.mark.parametrize(("name", "formula"), [("7", "Fs"), ("5", "Fs"), ("6", "Fs/(1 + gamma*s)")])
-def test_a_number_is_the_name_of_one_of_the_six_alone(name, formula):
+@pytest.mark.parametrize("name", ["7", "5", "my law", "a.b", ""])
+def test_a_name_is_a_word(name):
     with pytest.raises(InputError, match="is no name of a law"):
-        Law(name, formula)
+        Law(name, "Fs")
 
 
 def test_a_published_law_may_be_written_out():

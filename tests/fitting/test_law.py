@@ -3,27 +3,6 @@
 import pytest
 
 from fitting.laws import PUBLISHED, Law, natural_size, undetermined
-from stickslip.errors import InputError
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"start": {"vs": 0.1}}, "vs is no parameter"),
-        ({"bounds": {"v_s": (0.2, 0.1)}}, "bounds of v_s"),
-        ({"bounds": {"v_s": (0.0, None)}, "start": {"v_s": -1.0}}, "v_s is -1"),
-        ({"fix": {"v_s": float("nan")}}, "v_s is nan"),
-    ],
-)
-def test_values_that_cannot_be_are_refused(changes, said):
-    with pytest.raises(InputError, match=said):
-        Law("mine", "Fs*exp(-s/v_s)", **changes)
-
-
-@pytest.mark.parametrize("name", ["5", "my law", "a.b", ""])
-def test_a_name_is_a_word(name):
-    with pytest.raises(InputError, match="no name of a law"):
-        Law(name, "Fs")
 
 
 def test_of_parameters_that_enter_only_together_the_first_has_the_unit():

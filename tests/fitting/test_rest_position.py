@@ -77,49 +77,9 @@ def test_x0_and_the_datum_are_one_but_for_the_sign(bare, fitted, monkeypatch):
     assert read == [(Measured(X0, 5e-4), None), (None, datum), (None, datum)]
 
 
-def test_the_printed_value_stated_again_changes_nothing(bare, fitted):
-    code, first = fitted(bare, "--x0", "600 mm +- 0.5 mm")
-    assert code == 0
-    assert rest(first) == pytest.approx(X0, abs=2e-3)
-    _, again = fitted(bare, "--x0", f"{rest(first):.9g} +- 0.0005")
-    assert rest(again) == pytest.approx(rest(first), abs=1e-4)
-
-
-@pytest.mark.slow  # tests/daq/runfile/test_rest_position.py holds the question
-def test_a_wrong_sign_is_asked_about(bare, fitted):
-    """It was taken without a word: another law, exit code 0, a friction level six times too large."""
-    _, document = fitted(bare, "--x0", "-600 mm +- 0.5 mm")
-    (asked,) = (text for text in document["warnings"] if "is its sign correct?" in text)
-    assert asked.startswith("x0 (-600 mm) is ")
-    assert "600 mm lies inside it" in asked
-
-
 def test_a_spring_at_rest_beyond_the_break_away_is_refused(bare, fitted):
     code, document = fitted(bare, "--x0", "1.2 m +- 1 mm")
     assert code == 2
     assert "outside the travel" in document["error"]["what"]
     assert "friction would hold it back" in document["error"]["what"]
     assert "--x0" in document["error"]["do"]
-
-
-@pytest.mark.parametrize(
-    ("flags", "what"),
-    [
-        (["--x0", "1 mm", "--datum", "1 mm"], "--x0 and --datum together"),
-        (["--x0", "1 mm", "--datum-sd", "1 mm"], "--x0 and --datum-sd together"),
-        (["--datum", "1 mm +- 1 mm", "--datum-sd", "1 mm"], "--datum with +- and --datum-sd together"),
-        (["--damping", "0.1 +- 0.1", "--damping-sd", "0.1"], "--damping with +- and --damping-sd together"),
-    ],
-)
-def test_what_is_stated_twice_is_refused(bare, fitted, flags, what):
-    code, document = fitted(bare, *flags)
-    assert code == 2
-    assert document["error"]["what"] == what
-
-
-def test_every_calibration_takes_an_error(bare, fitted):
-    """Only --mass and --stiffness did."""
-    flags = ["--x0", "0.6 +- 5e-4", "--damping", "0 +- 0.002", "--belt-speed", "22 cm/s +- 2 mm/s"]
-    code, document = fitted(bare, *flags, "--mass", "300 g +- 1 g")
-    assert code == 0
-    assert not document["warnings"]

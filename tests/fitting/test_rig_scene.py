@@ -1,6 +1,5 @@
 """A fitted rig saved as a scene: it plays back as its record does, and what it predicts covers the truth."""
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -44,19 +43,6 @@ def test_the_scene_holds_the_fitted_law_and_its_covariance(fitted):
     for key, name in {"spring.k": "k", "friction.Fs": "Fs", "friction.gamma": "gamma", "belt.speed": "v_dr"}.items():
         # no smaller in any direction than both covariances of the fit, and so at times larger along one parameter
         assert values[name]["stderr"] * (1 - 1e-9) <= error[key] <= 1.5 * values[name]["stderr"]
-
-
-def test_a_scene_that_exists_is_replaced_by_force_alone(fitted, tmp_path):
-    path, _ = fitted
-    other = tmp_path / "mine.toml"
-    other.write_text("# my notes\n")
-    run = path.with_name("run.h5")
-    with pytest.raises(InputError, match="exists"):
-        command.fit(run, laws="5", no_report=True, save_scene=other)
-    run = shutil.copy(run, tmp_path / "run")  # under its own suffix it would be refused for that
-    with pytest.raises(InputError, match="source"):
-        command.fit(run, laws="5", no_report=True, save_scene=run, force=True)
-    assert other.read_text() == "# my notes\n"
 
 
 def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fitted, belt_rig):

@@ -128,16 +128,6 @@ def test_the_stage_keeps_the_belts_velocity_and_gives_it_back(tmp_path: Path, me
         assert file["entry/smooth/kinematics/belt_velocity_errors"].dtype == np.float32
 
 
-def test_without_a_channel_the_stage_holds_nothing_of_it(tmp_path: Path) -> None:
-    path, _ = run(tmp_path / "run.h5", channel=False, duration=4.0)
-    stage.save(processing.smooth(daq.load(path)), path)
-    with h5py.File(path) as file:
-        assert not [name for name in file["entry/smooth/kinematics"] if "belt" in name]
-    back = stage.load(path)
-    assert back is not None
-    assert back.belt_velocity is None
-
-
 def test_nothing_is_smoothed_across_a_new_segment(tmp_path: Path) -> None:
     path, _ = run(tmp_path / "run.h5", "gaps.rate=0.3", "gaps.duration=0.7", duration=12.0)
     recording = daq.load(path)

@@ -129,9 +129,8 @@ def test_nominal_times_go_on_over_the_blocks(tmp_path, small_blocks):
     assert stage.load(target).velocity == pytest.approx(whole.velocity, abs=1e-9)
 
 
-@pytest.mark.parametrize("method", ["auto", pytest.param("sg", marks=pytest.mark.slow)])
-def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_blocks, method):
-    asked = (method, 41 if method == "sg" else "auto", None, "nominal")
+def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_blocks):
+    asked = ("auto", "auto", None, "nominal")
     whole = smooth(daq.load(path), *asked)
     summary = smoothing.smooth_file(path, *asked)
     found = stage.load(path)
@@ -143,13 +142,11 @@ def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_blocks, m
     assert np.mean(apart < 2) > 0.99
 
 
-@pytest.mark.parametrize("method", ["auto", pytest.param("sg", marks=pytest.mark.slow)])
-def test_a_counted_belt_is_smoothed_in_blocks_too(tmp_path, small_blocks, method):
+def test_a_counted_belt_is_smoothed_in_blocks_too(tmp_path, small_blocks):
     changes, target = ["belt.channel=true", "belt.ripple=0.02", "belt.ripple_hz=2"], tmp_path / "run.h5"
     record(RecordRequest(ports.rig_url("rig", changes, False), target, 1000, 20.0))
-    asked = (method, 41 if method == "sg" else "auto")
-    whole = smooth(daq.load(target), *asked)
-    summary = smoothing.smooth_file(target, *asked)
+    whole = smooth(daq.load(target))
+    summary = smoothing.smooth_file(target)
     found = stage.load(target)
     assert whole.belt_counted
     assert summary.belt_counted

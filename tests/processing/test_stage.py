@@ -111,14 +111,6 @@ def test_a_run_that_was_not_smoothed_has_no_stage(path):
         stage.load_statistics(path)
 
 
-def test_raw_data_are_untouched_and_smoothing_again_replaces(path):
-    before = raw_bytes(path)
-    stage.save(smooth(daq.load(path)), path)
-    stage.save(smooth(daq.load(path), "fd"), path)
-    assert raw_bytes(path) == before
-    assert stage.load(path).method == "fd"
-
-
 def test_unknown_numbers_survive_the_file(tmp_path, imported, path, run_data, motion):
     still = motion(5, 0.4, start=0.5)  # the belt has not started yet
     target = tmp_path / "still.h5"
@@ -142,14 +134,6 @@ def test_xarray_reads_the_kinematics_the_default_plot_and_the_whole_tree(saved):
                 assert table["velocity_errors"].dtype == np.float32
     with xarray.open_datatree(path, engine="h5netcdf", phony_dims="sort") as tree:
         assert np.array_equal(tree["entry/smooth/phase_portrait/velocity"].values, made.velocity)
-
-
-def test_the_default_plot_is_the_phase_portrait_by_hard_links(saved):
-    with h5py.File(saved[0]) as file:
-        entry = file["entry"]
-        portrait = entry[entry.attrs["default"]][entry["smooth"].attrs["default"]]
-        assert (portrait.attrs["signal"], portrait.attrs["axes"]) == ("velocity", "position")
-        assert portrait["velocity"] == entry["smooth/kinematics/velocity"]
 
 
 def test_every_field_written_is_in_the_tree(saved):

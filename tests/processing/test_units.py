@@ -138,14 +138,6 @@ def test_the_origins_of_time_and_length_do_not_matter(number):
         assert found.belt_speed == pytest.approx(plain.belt_speed, rel=1e-9, nan_ok=True)
 
 
-def test_no_finding_of_one_scale_is_another_at_a_second_scale():
-    """Of a contact a thousand times as fast and as small the sentences have other numbers, and say the same."""
-    run = record(numbers(0, 1)[0], faulty=True)
-    codes = [own.code for own in smooth(run).findings]
-    assert codes
-    assert [own.code for own in smooth(scaled(run, 2.0**-10, 2.0**-10)).findings] == codes
-
-
 @pytest.mark.parametrize("number", [9, 54])  # slips of 17 and 41 samples
 def test_corners_of_slips_of_few_samples_are_placed_between_samples(number):
     """They stayed where plateaus showed them: the velocity erred by 1.1 to 6.1 % of its range."""

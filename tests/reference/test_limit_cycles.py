@@ -9,7 +9,6 @@ import pytest
 from rig_sim.analyses.limit_cycles.limit_cycle import cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.events import list_events
 
 REFERENCE = json.loads(Path(__file__).with_name("limit_cycles.json").read_text())
 MEASURED = ("period", "t_stick", "t_slip", "x_slip", "x_stick", "x_min", "x_max", "v_min", "v_max")
@@ -56,25 +55,3 @@ def test_case_without_a_cycle_ends_at_its_fixed_point(case):
     assert orbit.period is None
     expected = 0.5 if case["params"]["law"] == 6 else 1.0 / (1.0 + 3.0 * 0.6)
     assert orbit.x_rest == pytest.approx(expected, abs=1e-15)
-
-
-@pytest.mark.parametrize("case", REFERENCE["forced_event_times"], ids=lambda case: case["name"])
-def test_driven_events_meet_the_reference(case):
-    found = list_events(flow_of(case["params"]), 0.0, 0.0, float(case["t_max"]))
-    assert found.outcome == "completed"
-    expected = case["events"]
-    # the lists stop at a number of events or at t_max, whichever came first
-    assert len(found.t) >= len(expected)
-    assert list(found.kinds[: len(expected)]) == [kind for _, kind, _ in expected]
-    for t, x, (t_expected, _, x_expected) in zip(found.t, found.x, expected, strict=False):
-        assert abs(Fraction(t) - Fraction(t_expected)) <= 1e-12
-        assert abs(Fraction(x) - Fraction(x_expected)) <= 1e-12
-
-
-def test_grazing_fold_of_the_damped_case_lies_where_the_reference_has_it():
-    fold = float(REFERENCE["analytic"]["fold"]["c_F"])
-    below = cycle(Flow(v_belt=0.6, c=fold - 1e-9))
-    above = cycle(Flow(v_belt=0.6, c=fold + 1e-9))
-    assert below.outcome == "cycle"
-    assert below.period == pytest.approx(6.48057626545, abs=5e-9)
-    assert above.outcome == "fixed point"

@@ -53,18 +53,6 @@ def test_a_stribeck_contact_is_none_of_the_six_and_its_curve_is_measured(belt_ri
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("asked_law_alone")
-def test_a_weak_guide_is_named_although_a_curve_comes_near(foreign, tmp_path):
-    """Nothing was named: the curve leaves no more than the noise, and only the curve was tested for departures."""
-    found = rank(foreign(tmp_path / "t.csv", count=7.67e-6, code=5, Fg=0.06), laws=(3, 5)).adequacy
-    assert not found.adequate
-    first = found.departures[0]
-    assert (first.name, first.refitted, first.law) == ("guide-friction", True, 5)
-    assert first.value == pytest.approx(0.06 / 0.3, rel=0.03)
-    assert first.explained > 0.95
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("asked_law_alone")
 def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
     # "law 5 alone" was said of law 3 on it, with k/m wrong by a hundred standard errors.
     ranking = rank(foreign(tmp_path / "t.csv", code=3, G=0.3, k3=0.05 * 10.5552 / 0.195**2))
@@ -82,17 +70,6 @@ def test_a_mass_that_grazes_the_belt_has_no_break_aways(smoothed, monkeypatch):
     monkeypatch.setattr(answer, "find_other_break_away", lambda *_: [other])
     assert other not in rank(smoothed(law=2, duration=8.0), laws=(2,)).findings
     assert other in rank(smoothed(law=5, duration=8.0), laws=(5,)).findings
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("asked_law_alone")
-def test_the_smallest_visible_departure_is_seen_in_about_half_of_all_records(foreign, tmp_path):
-    """Friction that varies with the position by three times as much is seen, by a third it is not."""
-    known = rank(foreign(tmp_path / "t.csv", code=5), laws=(5,)).adequacy
-    assert known.adequate
-    size = known.smallest_visible / 100
-    varied = [foreign(tmp_path / "t.csv", xamp=factor * size, xlen=0.1, code=5) for factor in (1 / 3, 3)]
-    assert [rank(one, laws=(5,)).adequacy.adequate for one in varied] == [True, False]
 
 
 @pytest.mark.slow

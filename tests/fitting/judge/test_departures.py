@@ -11,17 +11,15 @@ import pytest
 from fitting.judge import departures
 from fitting.judge.departures import (
     Base,
-    amplitude,
     explain_misfit,
     find_best_scale,
     find_candidates,
     fit_departure,
     linear_steps,
-    sigmas,
 )
 from fitting.judge.library import DEPARTURES
 from fitting.laws import SIX
-from fitting.model.forces import Forcing, spaced
+from fitting.model.forces import Forcing
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -182,29 +180,9 @@ def test_a_thinned_record_chooses_the_same_scale(base_of):
     assert find_best_scale(thin, departure) == pytest.approx(find_best_scale(base, departure), rel=0.1)
 
 
-def test_more_trials_take_standard_deviations_away():
-    assert sigmas(math.log(2 * 2.866515719235352e-07)) == pytest.approx(5.0)  # two tails of a normal variable
-    assert sigmas(-20.0, 100) < sigmas(-20.0)
-    assert sigmas(-2000.0) == pytest.approx(63.1, abs=0.2)  # beyond what a tail can be written as a number
-    assert sigmas(-1.0, 1e6) == 0.0
-
-
 @pytest.mark.parametrize(
     ("counted", "words"), [(True, "an eccentric encoder wheel"), (False, "lens distortion or an uneven scale")]
 )
 def test_an_error_of_the_reading_is_named_by_what_read_it(counted, words):
     """Camera tracks with lens distortion were reported with "an eccentric encoder wheel"; the name of the row stays."""
     assert LIBRARY["eccentricity"].says(counted=counted) == words
-
-
-def test_a_sine_and_a_cosine_are_one_amplitude():
-    found = amplitude(np.array([3e-4, 4e-4]), np.stack([np.eye(2) * 1e-12, np.eye(2) * 1e-13]))
-    assert (found.value, found.sd) == pytest.approx((5e-4, 1e-6))
-
-
-def test_wavelengths_are_a_quarter_of_the_resolution_apart():
-    found = spaced(0.05, 0.3, 0.25)
-    np.testing.assert_allclose(np.diff(1 / found), 1.0)
-    assert found.max() <= 0.3
-    assert found.min() > 0.05
-    assert spaced(0.3, 0.05, 0.25).size == 0

@@ -194,11 +194,6 @@ def test_no_joint_fit_replaces_one_of_its_runs(files, tmp_path):
         command.fit(first, other, laws="5", no_report=True, force=True)
 
 
-def test_outputs_of_one_name_are_refused(files):
-    with pytest.raises(InputError, match="two outputs"):
-        command.fit(*files, report=files[0].with_name("out"), curve_csv=files[0].with_name("out"))
-
-
 def test_reports_of_a_batch_are_numbered(files, tmp_path):
     assert [place.name for place in page.report_paths(files, tmp_path / "all.html")] == [
         "all.html",

@@ -67,7 +67,8 @@ def test_lengths_scaled_by_a_power_of_two_and_mirrored_give_the_same_numbers(tra
     changes = {name: factor * getattr(smoothed, name) for name in names}
     changes |= {name: abs(factor) * getattr(smoothed, name) for name in errors}
     expected, found = expected.best, rank(replace(smoothed, recording=record, **changes), laws=(3, 5)).best
-    for name, unit in (("k/m", 1.0), ("v_dr", factor), ("gamma", 1 / abs(factor)), ("c/m", 1.0), ("Fs/m", abs(factor))):
+    units = {"k/m": 1.0, "v_dr": factor, "gamma": 1 / abs(factor), "c/m": 1.0, "Fs/m": abs(factor), "x0": factor}
+    for name, unit in units.items():
         if name in expected.parameters:
             ours, theirs = found.parameters[name], expected.parameters[name]
             assert ours.value / unit == pytest.approx(theirs.value, abs=1e-4 * theirs.stderr)

@@ -24,14 +24,6 @@ def test_no_start_has_a_level_beyond_the_observed_break_aways(motion_of):
     assert start.shape < 60.0
 
 
-@pytest.mark.parametrize("other", [problem.LINEAR, problem.HYPERBOLIC])
-@pytest.mark.parametrize("curve", [problem.LINEAR, problem.HYPERBOLIC])
-def test_a_matched_curve_has_the_same_friction_at_two_speeds(curve, other):
-    F, shape = problem.matched_curve(curve, other, 4.6, 1.1, 0.6)
-    s = np.array([0.15, 0.45])
-    assert magnitude(curve, s, F, shape * F, shape) == pytest.approx(magnitude(other, s, 4.6, 1.1 * 4.6, 1.1))
-
-
 @pytest.mark.parametrize(
     ("curve", "shape", "static"),
     [

@@ -11,15 +11,7 @@ from fitting.model import windows
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
 
 
-def test_the_line_through_the_levels():
-    time = np.arange(20.0)
-    found = windows.level_trend(time, 3.0 * (1 - 0.01 * time))
-    assert found.rate.value == pytest.approx(0.01, rel=1e-12)
-    assert found.rate.sd == pytest.approx(0.0, abs=1e-12)
-    assert found.first.value * 3.0 * (1 - 0.01 * 9.5) == pytest.approx(3.0, rel=1e-12)
-
-
-def test_its_error_is_that_of_the_scatter():
+def test_the_error_of_a_trend_is_that_of_the_scatter():
     rng = np.random.default_rng(8)
     time = np.arange(20.0)
     z = []

@@ -36,14 +36,6 @@ def test_no_window_holds_a_break_away(law5, belt_rig):
                 assert not inside.any()
 
 
-def test_the_start_up_drag_is_found(law5):
-    motion, cut = law5
-    assert cut.starts_at_rest
-    first, end = cut.drag
-    assert 0.55 < motion.time[first] < 0.75
-    assert 1.0 < motion.time[end] < 1.16
-
-
 def test_a_drag_with_a_gap_in_it_is_no_drag(law5):
     """Its window was left out and the drag was not: of laws 1 and 2, RuntimeError "not the start-up drag"."""
     motion, cut = law5
@@ -64,14 +56,6 @@ def test_the_drag_of_a_wide_ramp_is_found(motion_of, belt_rig, d):
     broken = break_aways(belt_rig, law=2, d=d)[0]
     assert motion.time[first] < 0.75
     assert 0 < broken - motion.time[end - 1] < 0.15
-
-
-def test_excluded_cycles_keep_their_place(law5):
-    motion, cut = law5
-    without = cycles.segment_cycles(motion, frozenset((2, 3)))
-    assert [cycle.number for cycle in without.cycles] == [cycle.number for cycle in cut.cycles]
-    assert [cycle.number for cycle in without.cycles if cycle.flag == "excluded"] == [2, 3]
-    assert len(without.used) == len(cut.used) - 2
 
 
 def test_a_stick_window_begins_when_an_overtaking_has_ended(law5):

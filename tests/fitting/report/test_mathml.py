@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import pytest
 
 from fitting.laws import PUBLISHED
-from fitting.report.symbols import identifier, mathtext, parameter, typeset_formula
+from fitting.report.symbols import mathtext, parameter, typeset_formula
 from rig_sim.friction.formula import Formula
 
 MARKS = {"\N{MINUS SIGN}": "-", "\N{INVISIBLE TIMES}": "*", "\N{MIDDLE DOT}": "*", "\N{FUNCTION APPLICATION}": ""}
@@ -50,20 +50,6 @@ def test_what_is_shown_is_the_formula(text):
     found = {name: renamed[name.replace("_", "")] for name in shown.parameters}
     for s in (0.2, 0.7):
         assert float(shown.value(s, found)) == pytest.approx(float(formula.value(s, values)), rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("gamma", "<mi>γ</mi>"),
-        ("v_s", "<msub><mi>v</mi><mi>s</mi></msub>"),
-        ("Fs", "<msub><mi>F</mi><mi>s</mi></msub>"),
-        ("level", "<mi>level</mi>"),
-        ("G_slip", "<msub><mi>G</mi><mi>slip</mi></msub>"),
-    ],
-)
-def test_names_have_letters_and_subscripts(name, shown):
-    assert identifier(name) == shown
 
 
 @pytest.mark.parametrize(

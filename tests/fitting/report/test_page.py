@@ -15,7 +15,6 @@ import pytest
 from daq.runfile import store
 from daq.runfile.run_data import OF_FILE
 from fitting.judge.adequacy import NONE_OF_SIX
-from fitting.judge.parameters import Parameter
 from fitting.report import page as report
 from fitting.report.symbols import pretty
 from stickslip.errors import InputError
@@ -88,11 +87,6 @@ def test_the_report_of_a_run_that_is_gone_is_replaced(tmp_path, page, belt_rig):
         report.refuse_foreign_file(path, [OWN], files=[run])
 
 
-def test_a_missing_folder_is_named(tmp_path):
-    with pytest.raises(InputError, match="folder does not exist"):
-        report.refuse_foreign_file(tmp_path / "none" / "run.html", [""])
-
-
 def test_the_true_laws_orbit_is_the_nearest(ranked):
     ranking = ranked(law=5)
     nearest = min(ranking.rows, key=lambda row: row.orbit)
@@ -142,12 +136,6 @@ def test_a_length_is_in_mm_as_positions_are(page, ranked):
     assert '<td class="unit">m</td>' not in page
 
 
-def test_the_contents_list_names_places_of_the_page(page):
-    named = re.findall(r'<a href="#([a-z]+)">', page)
-    assert named[:4] == ["ranking", "parameters", "predictions", "cycles"]
-    assert all(page.count(f'id="{name}"') == 1 for name in named)
-
-
 def test_a_figure_is_saved_with_its_data(page, ranked):
     saved = dict(re.findall(r'download="([^"]+)" href="data:application/zip;base64,([^"]+)"', page))
     assert len(saved) == page.count('<svg role="img"')  # all but the drawing of the rig
@@ -193,11 +181,3 @@ def test_an_imported_table_is_a_file_of_some_date(ranked):
     text = report.render(replace(ranking, records=(replace(ranking.records[0], recording=imported),)))
     assert "<dd>file of 2" in text
     assert "recorded 2" not in text
-
-
-@pytest.mark.parametrize(
-    ("stderr", "shown"), [(0.05, "0.050"), (4.4e-05, "4.4e-05"), (3e-05, "3.0e-05"), (15.0, "15"), (0.0022, "0.0022")]
-)
-def test_a_standard_error_has_two_digits_as_the_value_beside_it(stderr, shown):
-    value = Parameter(4.648, stderr, 4.5, 4.8, "m/s")
-    assert report.format_interval(value)[1] == shown

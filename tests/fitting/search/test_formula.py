@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fitting.laws import PUBLISHED, Law
-from fitting.search.formula import SCANNED, SPLINE_ERROR, FormulaCurve, StartSearch, Target, find_starts
+from fitting.search.formula import SCANNED, SPLINE_ERROR, FormulaCurve, Target, find_starts
 from stickslip.errors import InputError
 
 FASTEST = 0.7
@@ -30,24 +30,12 @@ def of(law, values):
     return Target.of(s, friction, float(np.median(friction)))
 
 
-@pytest.mark.parametrize(("name", "true"), TRUE.items())
-def test_a_published_curve_is_found_without_starting_values(name, true):
-    law = PUBLISHED[name]
-    assert find_starts(law, of(law, true))[0].values == pytest.approx(true, rel=1e-4)
-
-
 @pytest.mark.parametrize(("name", "true"), [*(TRUE | EXTREME).items()])
 def test_a_published_curve_is_found_from_rest_on(name, true):
     law, speeds = PUBLISHED[name], np.linspace(0.0, 0.5, 200)
     found = find_starts(law, Target.of(speeds, law.curve.value(speeds, true | dict(law.fix or {})), 1e-3))[0]
     assert found.values == pytest.approx(true, rel=1e-3)
     assert found.misfit < 1e-2
-
-
-def test_a_parameter_that_bends_the_curve_only_beside_others_is_seen_to():
-    """With equal first values of Fs and Fc the speed v_s seemed to act not, and was taken for a linear parameter."""
-    bends = StartSearch(PUBLISHED["stribeck"], of(PUBLISHED["stribeck"], TRUE["stribeck"])).bends
-    assert bends == {"Fc": False, "Fs": False, "v_s": True}
 
 
 def test_a_formula_that_is_nowhere_finite_is_refused():

@@ -14,7 +14,6 @@ from processing.record.setting import Setting
 from processing.stick_slip import noise as landing_snap
 from processing.stick_slip.corners import KERNELS
 from stickslip.compute.compile import compiled
-from stickslip.errors import InputError
 
 BELT = 0.22  # m/s, as the motions have it
 
@@ -227,13 +226,6 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
     assert noise.reading == pytest.approx((50e-6) ** 2 / 12, rel=0.5)
     found = methods.estimate(method, data, Setting())
     assert velocity_error(found, true.v)[0] < 1.0
-
-
-@pytest.mark.parametrize("method", ["rts", "segment"])
-@pytest.mark.parametrize("setting", [Setting(41, 4), Setting(None, 4)])
-def test_a_smoother_has_no_window(motion, recorded, method, setting):
-    with pytest.raises(InputError, match=f"{method} has no window"):
-        methods.estimate(method, series.from_recording(recorded(motion(5, 3.0))), setting)
 
 
 def test_a_window_that_is_asked_for_means_savitzky_golay(motion, recorded):

@@ -49,22 +49,6 @@ def test_a_straight_line_comes_back_exactly_and_zero_as_zero(method, time, impor
     assert np.abs(motion.acceleration).max() <= 1e-6 * bool(start)
 
 
-@pytest.mark.parametrize(("window", "order"), [(7, 3), (31, 4), (41, 6), (51, 12)])
-def test_savitzky_golay_reproduces_polynomials_up_to_its_order(time, imported, window, order):
-    s = time / time[-1]
-    weights = np.random.default_rng(2).standard_normal(order + 1)
-    true = [np.polynomial.Polynomial(weights).deriv(d)(s) / time[-1] ** d for d in range(3)]
-    motion = run("sg", imported(time, true[0]), Setting(window, order))
-    scale = [max(1.0, np.abs(values).max()) for values in true]
-    spread = np.array([1.0, 1e3, 1e6])  # a derivative divides the rounding of x by dt and dt^2
-    for found, exact, size, per in zip(
-        (motion.position, motion.velocity, motion.acceleration), true, scale, spread, strict=True
-    ):
-        inner = slice(window // 2, -(window // 2))
-        assert np.abs(found - exact)[inner].max() < 1e-12 * max(size, per)
-        assert np.abs(found - exact).max() < 1e-11 * max(size, per)  # one-sided at the ends
-
-
 def test_position_is_told_in_the_recordings_own_coordinates(method, motion, recorded):
     run_ = recorded(motion(5, 3.0))
     found = run(method, run_)
@@ -127,14 +111,3 @@ def test_an_offset_of_2_to_the_60_counts_changes_nothing(method, motion, recorde
     one, two = run(method, run_), run(method, shifted)
     assert np.array_equal(one.velocity, two.velocity)
     assert np.array_equal(one.acceleration, two.acceleration)
-
-
-@pytest.mark.parametrize("name", ["spline", None])
-def test_an_unknown_method_names_the_known_ones(name):
-    with pytest.raises(InputError, match=f"method is {name!r}; known: auto, segment, rts, sg, fd"):
-        methods.check_method(name)
-
-
-def test_finite_differences_have_no_window(imported):
-    with pytest.raises(InputError, match="finite differences have no window"):
-        run("fd", imported(np.arange(9.0), np.arange(9.0)), Setting(5, 2))

@@ -56,14 +56,6 @@ def test_the_picture_shows_position_velocity_and_the_phase_portrait(kinematics):
     assert portrait.get_title(loc="left") == "phase portrait, 5 complete cycles"
 
 
-def test_the_phase_portrait_goes_into_axes_that_are_given(kinematics):
-    from matplotlib.figure import Figure
-
-    axes = Figure().add_subplot()
-    assert kinematics.plot(ax=axes) is axes.figure
-    assert axes.get_title(loc="left") == "phase portrait, 5 complete cycles"
-
-
 def test_markers_are_drawn_at_their_times_and_of_a_part_those_within_it(tmp_path):
     # The picture left out what daq note --mark and the live view had set; a part of a run had the whole run's events.
     path = tmp_path / "run.h5"

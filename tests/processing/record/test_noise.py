@@ -50,11 +50,6 @@ def test_counts_that_were_printed_in_metres_still_err_by_their_rounding(motion, 
     assert noise_of(true.time, printed) == pytest.approx(pitch / np.sqrt(12), rel=0.1)
 
 
-def test_readings_that_are_not_rounded_have_no_step():
-    rng = np.random.default_rng(6)
-    assert smallest_step(np.cumsum(rng.standard_normal(10_000))) == 0.0
-
-
 def test_counts_at_rest_err_by_their_rounding(motion, recorded):
     data = series.from_recording(recorded(motion(5, 0.4, start=0.5)))
     assert position_noise(data) == data.pitch / np.sqrt(12)

@@ -10,7 +10,6 @@ from daq.runfile.rig import Rig
 from processing.kalman import white_jerk
 from processing.record import series
 from processing.stick_slip import plateaus
-from processing.stick_slip.plateaus import half_sample_mode
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
@@ -238,14 +237,6 @@ def test_a_camera_track_with_dropped_frames_shows_its_sticks(law_5, imported):
     found = processing.smooth(imported(time[kept], x[kept], 400.0))
     assert len(found.sticks) == 11
     assert found.belt_speed == pytest.approx(0.22, abs=1e-3)
-
-
-def test_half_sample_mode_finds_the_heap_and_not_the_mean():
-    rng = np.random.default_rng(4)
-    values = np.concatenate((rng.normal(0.22, 1e-4, 3000), rng.uniform(-0.8, 0.2, 5000)))
-    assert half_sample_mode(values) == pytest.approx(0.22, abs=2e-4)
-    assert half_sample_mode(np.array([1.0])) == 1.0
-    assert half_sample_mode(np.array([0.0, 1.0, 1.2])) == pytest.approx(1.1)
 
 
 def test_a_first_sample_far_from_the_others_leaves_a_record_without_motion():

@@ -118,7 +118,6 @@ def test_compare_ranks_the_methods_of_the_contract():
     ("name", "changes", "until"),
     [
         ("rig", {}, 4.0),
-        ("base", {"droop.fraction": 0.02}, 20.0),
         ("base", {"belt.ripple": 0.05, "belt.ripple_hz": 0.3, "wear.rate": 0.001}, 20.0),
     ],
 )

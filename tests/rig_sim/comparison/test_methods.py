@@ -90,11 +90,6 @@ def test_the_thesis_method_converges_with_the_fourth_power_of_its_step(law: int,
         assert fine < 1e-7
 
 
-def test_the_thesis_method_has_the_first_stick_of_law_1_in_closed_form() -> None:
-    _, events = played("rk4-henon", {"friction.law": 1}, until=3.0, step=0.001)
-    assert [event.t for event in events] == pytest.approx((math.pi / 6, math.pi / 6 + math.sqrt(3)), abs=1e-12)
-
-
 @pytest.mark.parametrize("ending", [".h5", ".csv"])
 def test_the_file_is_the_same_for_all_methods_and_names_its_own(tmp_path: Path, ending: str) -> None:
     shapes = []

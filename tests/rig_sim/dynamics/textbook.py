@@ -67,32 +67,3 @@ class Henon(FormulaMap):
     def step(self, state, change=0.0):
         x, y = state
         return [self.a + change - x * x + self.b * y, x], [[-2.0 * x, self.b], [1.0, 0.0]], 1.0
-
-
-class Duffing(FormulaMap):
-    """x'' + delta x' - x + x^3 = f cos(omega t), with its variational equation, by Runge and Kutta's formula."""
-
-    steps = 50
-
-    def __init__(self, f, delta=0.3, omega=1.2):
-        super().__init__([1.0, 1.0])
-        self.f, self.delta, self.omega = f, delta, omega
-
-    def slopes(self, t, y):
-        x, v, *rest = y
-        pull = 1.0 - 3.0 * x * x
-        base = [v, self.f * math.cos(self.omega * t) - self.delta * v + x - x**3]
-        for dx, dv in zip(rest[::2], rest[1::2], strict=True):
-            base += [dv, pull * dx - self.delta * dv]
-        return base
-
-    def step(self, state, change=0.0):
-        y = [*state.tolist(), 1.0, 0.0, 0.0, 1.0]
-        h = 2.0 * math.pi / self.omega / self.steps
-        for i in range(self.steps):
-            k1 = self.slopes(i * h, y)
-            k2 = self.slopes((i + 0.5) * h, [a + 0.5 * h * b for a, b in zip(y, k1, strict=True)])
-            k3 = self.slopes((i + 0.5) * h, [a + 0.5 * h * b for a, b in zip(y, k2, strict=True)])
-            k4 = self.slopes((i + 1.0) * h, [a + h * b for a, b in zip(y, k3, strict=True)])
-            y = [a + h / 6.0 * (b + 2.0 * c + 2.0 * d + e) for a, b, c, d, e in zip(y, k1, k2, k3, k4, strict=True)]
-        return y[:2], np.array(y[2:]).reshape(2, 2).T, 1.0

@@ -1,9 +1,7 @@
 """Effects: each is there when the scene names it, alone, the same again from the same seed, and nothing when absent."""
 
 from itertools import pairwise
-from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from daq.wire.frames import TruthFrame
 from daq.wire.quadrature import PHASE
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.board.disturbances import SilentStretches
-from rig_sim.motion.file import write
 from rig_sim.motion.play import events
 from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.scene import scene
@@ -135,17 +132,3 @@ def test_an_effect_of_no_size_is_no_effect(changes: dict[str, object]) -> None:
 def test_effects_draw_from_streams_of_their_own() -> None:
     both, losing = (record(SimulatedBoard(scene("rig", **LOSSES, **also)), 10_000) for also in (GAPS, {}))
     np.testing.assert_array_equal(both.up, losing.up[both.seq])
-
-
-def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) -> None:
-    plain, rippling = tmp_path / "plain.h5", tmp_path / "rippling.h5"
-    write(scene("rig"), plain, until=1.0, rate=100.0)
-    write(scene("rig", **{"belt.ripple": 0.004, "belt.ripple_hz": 3.0}), rippling, until=1.0, rate=100.0)
-    scenes = []
-    for path in (plain, rippling):
-        with h5py.File(path) as file:
-            scenes.append(file["entry/simulation/scene"][()].decode())
-            assert sorted(file["entry/motion"]) == ["F", "t", "v", "x"]
-    for word in ("ripple", "droop", "slip_loss", "gaps", "wear", "joint", "shaker"):
-        assert word not in scenes[0]
-    assert "ripple" in scenes[1]

@@ -80,16 +80,5 @@ def test_two_per_cent_of_ripple_shows_at_slip_onset_as_the_inertia_it_costs() ->
         assert 10.5552 * x + inertia == pytest.approx(1.379353536, rel=1e-12)
 
 
-def test_the_parts_of_a_motion_on_a_rippling_belt_are_the_whole() -> None:
-    rippling = scene("rig", **{"belt.ripple": 0.004, "belt.ripple_hz": 7.0, "droop.fraction": 0.01})
-    t = np.arange(4001) / 1000
-    whole = ScenePlayer(rippling).follow(t)
-    motion = ScenePlayer(rippling)
-    parts = [motion.follow(t[first:last]) for first, last in ((0, 1), (1, 700), (700, 4001))]
-    joined = np.concatenate([part.nodes.x[part.samples] for part in parts])
-    np.testing.assert_allclose(joined, whole.nodes.x[whole.samples], atol=1e-12)
-    assert motion.x == joined[-1]
-
-
 def test_a_rippling_belt_drives_the_mass_and_has_no_orbit() -> None:
     assert cycle(scene("base", **RIPPLE)).outcome == "driven"

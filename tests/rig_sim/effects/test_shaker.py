@@ -117,12 +117,6 @@ def test_the_fixed_point_does_not_move(phi: float) -> None:
     assert cycle(shaken(4.0, math.pi)).x_rest == pytest.approx(REST, abs=1e-14)
 
 
-def test_a_phase_of_pi_is_a_damper_and_the_slip_point_is_the_dampers() -> None:
-    found, expected = cycle(shaken(0.3, math.pi)), cycle(scene("base", **{"damper.c": 0.3}))
-    assert found.period == pytest.approx(expected.period, abs=1e-12)
-    assert found.x_slip == pytest.approx(1 - 0.3 * V, abs=1e-14)
-
-
 def test_the_slip_point_is_where_spring_damper_and_shaker_together_reach_fs() -> None:
     flow = shaken(0.5, 2.5).flow()
     found = cycle(shaken(0.5, 2.5))

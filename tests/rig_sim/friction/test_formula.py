@@ -13,8 +13,6 @@ from rig_sim.friction.formula import DEEPEST, LONGEST, Formula
 from stickslip.errors import InputError
 
 STRIBECK = "Fc + (Fs - Fc)*exp(-(s/v_s)**2) + b*s"
-VALUES = {"Fc": 0.6, "Fs": 1.0, "v_s": 0.15, "b": 0.02}
-SPEEDS = np.array([0.0, 0.01, 0.15, 0.4, 2.0])
 STEP = mpmath.mpf("1e-20")  # of a central difference in 60 digits: less than the spacing of doubles
 
 FUNCTIONS = {
@@ -143,20 +141,6 @@ def _has_corner(tree: Tree, known: dict[str, mpmath.mpf]) -> bool:
         if abs(left - right) < 1e-12 * abs(left):
             return True
     return any(_has_corner(part, known) for part in tree.parts)
-
-
-def test_a_stribeck_curve_has_the_values_and_slopes_of_its_formula() -> None:
-    formula = Formula.parse(STRIBECK)
-    assert formula.parameters == ("Fc", "Fs", "v_s", "b")
-    fall = np.exp(-((SPEEDS / 0.15) ** 2))
-    np.testing.assert_allclose(formula.value(SPEEDS, VALUES), 0.6 + 0.4 * fall + 0.02 * SPEEDS, rtol=1e-15)
-    np.testing.assert_allclose(
-        formula.slope(SPEEDS, VALUES), -0.8 * SPEEDS / 0.15**2 * fall + 0.02, rtol=1e-14, atol=1e-16
-    )
-    expected = np.stack((1 - fall, fall, 0.8 * SPEEDS**2 / 0.15**3 * fall, SPEEDS), axis=-1)
-    np.testing.assert_allclose(formula.gradient(SPEEDS, VALUES), expected, rtol=1e-14, atol=1e-16)
-    assert formula.gradient(SPEEDS.reshape(5, 1), VALUES).shape == (5, 1, 4)
-    assert formula.value(0.0, VALUES).shape == ()
 
 
 @pytest.mark.parametrize(

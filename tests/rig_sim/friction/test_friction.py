@@ -21,11 +21,6 @@ def test_ramp_is_continuous_and_linear_inside(number):
     assert force(law, -0.05, **SETTINGS) == pytest.approx(1.3 / 0.2 * 0.05, rel=1e-15)
 
 
-def test_law_4_has_the_thesis_constant():
-    # F = 1.01 + 0.05 w for w < -d: Fs + G_slip d = 1.01
-    assert force(LAWS[4], -1.0, Fs=1.0, G_slip=0.05, d=0.2) == pytest.approx(1.01 - 0.05, rel=1e-15)
-
-
 @pytest.mark.parametrize("number", LAWS)
 def test_scatter_multiplies_the_whole_curve(number):
     w = np.linspace(-1.0, 1.0, 100)

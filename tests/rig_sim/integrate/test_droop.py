@@ -14,7 +14,7 @@ from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.phases import State, next_event
 from rig_sim.integrate.work import new_work
-from rig_sim.motion.play import ScenePlayer, events
+from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
 
 from ..shared import flow_of
@@ -59,11 +59,9 @@ def test_ramp_and_droop_add_up() -> None:
     np.testing.assert_allclose(found.t, expected.t, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "droop", [pytest.param(0.005, marks=pytest.mark.slow), 0.05, pytest.param(0.2, marks=pytest.mark.slow)]
-)
 @pytest.mark.parametrize("drive", [0.0, 0.1])
-def test_one_slip_of_law_5_is_that_of_an_independent_solver(droop: float, drive: float) -> None:
+def test_one_slip_of_law_5_is_that_of_an_independent_solver(drive: float) -> None:
+    droop = 0.05
     flow = flow_of(5, droop=droop, c=0.02, u0=drive, omega=0.7)
     work = new_work()
     x, v = 1.05, 0.5 - droop * 1.001
@@ -83,18 +81,6 @@ def test_one_slip_of_law_5_is_that_of_an_independent_solver(droop: float, drive:
     assert w_end == -droop
     assert t_end == pytest.approx(expected.t_events[0][0], abs=1e-12)
     assert x_end == pytest.approx(expected.y_events[0][0][0], abs=1e-12)
-
-
-def test_in_stick_the_belt_carries_the_mass_at_the_speed_its_load_leaves() -> None:
-    rig = scene("rig", **{"droop.fraction": 0.05, "scatter.Fs": 0})
-    motion = ScenePlayer(rig)
-    path = motion.follow(np.arange(4000) / 1000, forces=True)
-    v = path.nodes.v[path.samples]
-    assert rig.friction is not None
-    stuck = (np.arange(4000) > 500) & (v >= 0.22 * 0.95)
-    assert stuck.sum() > 1000
-    np.testing.assert_allclose(v[stuck], 0.22 * (1 - 0.05 * path.F[stuck] / rig.friction.Fs), rtol=1e-12)
-    assert v[stuck].max() > 0.22  # where the spring pushes the belt on
 
 
 def test_the_orbit_on_a_drooping_belt_is_exact() -> None:

@@ -70,14 +70,6 @@ def test_events_are_those_of_40_digits(curve: list[list[float]], changes: dict[s
     assert max(abs(float(x - at)) for x, (_, _, at) in zip(found.x, expected, strict=True)) < 1e-12
 
 
-@pytest.mark.slow
-def test_interpreted_and_compiled_lists_are_the_same() -> None:
-    moving = flow(STRIBECK)
-    plain = list_events(moving, 0.0, 0.0, 60.0)
-    machine = list_events(moving, 0.0, 0.0, 60.0, compiled=True)
-    assert (plain.t, plain.x, plain.kinds) == (machine.t, machine.x, machine.kinds)
-
-
 def test_two_points_and_equal_points_are_laws_3_and_1() -> None:
     for curve, law, outcome in (
         ([[0.0, 1.0], [2.0, 0.9]], 3, "cycle"),
@@ -135,23 +127,17 @@ def test_extremes_of_a_cycle_whose_mass_turns_on_a_knot_are_seen() -> None:
 POINTS = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
 
 
-@pytest.mark.slow  # two kernels are compiled
-@pytest.mark.parametrize(
-    ("friction", "within"),
-    [({"friction.law": 0, "friction.curve": POINTS}, 1e-4), ({"friction.formula": "Fs/(1 + gamma*s)"}, 1e-7)],
-    ids=["curve", "formula"],
-)
-def test_a_driven_curve_of_many_points_has_the_attractors_of_the_law(
-    friction: dict[str, object], within: float
-) -> None:
+@pytest.mark.slow  # a kernel is compiled
+def test_a_driven_curve_of_many_points_has_the_attractors_of_the_law() -> None:
     """A driven curve of 200 points and more ended in a bug, exit code 1.
 
     Compiled code was handed its table as a tuple, and was made anew for each number of points.
     """
+    friction: dict[str, object] = {"friction.law": 0, "friction.curve": POINTS}
     known, found = (
         find_attractors(*driven_map_with_starts(driven.flow(), 0.0, 0.0, "poincare"), 0.3)
         for driven in (scene("forced", **{"drive.omega": 0.3}), scene("forced", **{"drive.omega": 0.3, **friction}))
     )
     assert [row.period for row in found] == [row.period for row in known] == [1]
-    assert found[0].points == pytest.approx(known[0].points, rel=within)
+    assert found[0].points == pytest.approx(known[0].points, rel=1e-4)
     assert LandingMap(scene("forced", **friction).flow()).first_landing(0.0, 0.0).outcome == "completed"

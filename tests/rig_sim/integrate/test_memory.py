@@ -12,7 +12,7 @@ from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.memory import MemoryFlow, make_memory_flow
 from rig_sim.friction.memory import AGEING, BRISTLE, SLIP
-from rig_sim.integrate.memory import compile_phases, initial_mode, new_memory_work, sample_memory_phase
+from rig_sim.integrate.memory import initial_mode, new_memory_work, sample_memory_phase
 from rig_sim.integrate.phases import Samples, State
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import validate_content
@@ -33,19 +33,14 @@ def rig(law: str, *, m: float = 0.3, k: float = 10.5, c: float = 0.1, v: float =
     return make_memory_flow(Flow(m=m, k=k, c=c, v_belt=v, **drive), code, v, parameters | changes)
 
 
-def follow(
-    flow: MemoryFlow, x: float, v: float, times: Sequence[float], work: Any = None, *, compiled: bool = False
-) -> tuple[Any, Any, Any, Any]:
+def follow(flow: MemoryFlow, x: float, v: float, times: Sequence[float], work: Any = None) -> tuple[Any, Any, Any, Any]:
     """Return x (m), v (m/s) and friction (N), (n,) each, at times from the start of a motion on, and its work."""
     n = len(times)
     samples = Samples(list(times), [0.0] * n, [0.0] * n, [0.0] * n, n)
-    step: Any = sample_memory_phase
     work = work or new_memory_work(1e6)
-    if compiled:
-        step, work, samples = compile_phases(work, samples)
     state, i = State(initial_mode(flow, v), x, v - flow.v_belt, float(times[0])), 0
     while i < n:
-        kind, state, i = step(flow, state, float(times[-1]), samples, i, work)
+        kind, state, i = sample_memory_phase(flow, state, float(times[-1]), samples, i, work)
         assert kind < modes.FORCE_REVERSAL, modes.OUTCOMES[kind]
     return np.array(samples.x), np.array(samples.v), np.array(samples.mode), work
 
@@ -90,14 +85,6 @@ def test_slip_that_reverses_is_that_of_scipy(law):
     accelerations = [slopes(t, y)[1] for t, y in zip(times, expected.y.T, strict=True)]
     balance = flow.m * np.array(accelerations) + flow.k * expected.y[0] + flow.c * expected.y[1]
     assert np.abs(F - balance + 2.5 * np.cos(3.0 * times)).max() < 1e-4
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_compiled_and_interpreted_motions_agree(law):
-    times, flow = np.linspace(0.0, 3.0, 301), rig(law)
-    found, expected = (follow(flow, 0.0, 0.0, times, compiled=compiled) for compiled in (True, False))
-    for one, other in zip(found[:3], expected[:3], strict=True):
-        assert one == pytest.approx(other, rel=1e-9, abs=1e-10)
 
 
 @pytest.mark.parametrize(

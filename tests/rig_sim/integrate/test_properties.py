@@ -107,24 +107,26 @@ def test_a_shift_of_time_shifts_the_events_and_nothing_else(law, shift, omega, *
     law=st.sampled_from(sorted(LAWS)),
     longer=st.integers(-40, 40),
     slower=st.integers(-40, 40),
+    heavier=st.integers(-40, 40),
     x=st.floats(-2.0, 2.0),
     c=st.sampled_from([0.0, 0.02]),
     static=st.floats(1.0, 1.5),
     u0=st.sampled_from([0.0, 0.1]),
     **flows,
 )
-def test_lengths_and_times_in_other_units_give_the_same_motion_to_the_last_bit(
-    law, longer, slower, x, c, static, u0, **fields
+def test_lengths_times_and_masses_in_other_units_give_the_same_motion_to_the_last_bit(
+    law, longer, slower, heavier, x, c, static, u0, **fields
 ):
     """Logarithms of m/s decided how long a step is: their rounding changed with the unit, and the bits with it."""
-    speed, force_unit = 2.0 ** (longer - slower), 2.0 ** (longer - 2 * slower)
+    speed, force_unit = 2.0 ** (longer - slower), 2.0 ** (longer - 2 * slower + heavier)
     flow = flow_of(law, c=c, static=static, u0=u0, omega=0.7, phase=0.3, **fields)
     other = flow._replace(
-        k=flow.k * 2.0 ** (-2 * slower),
-        c=flow.c * 2.0**-slower,
+        m=flow.m * 2.0**heavier,
+        k=flow.k * 2.0 ** (heavier - 2 * slower),
+        c=flow.c * 2.0 ** (heavier - slower),
         v_belt=flow.v_belt * speed,
         Fs=flow.Fs * force_unit,
-        G_slip=flow.G_slip * 2.0**-slower,
+        G_slip=flow.G_slip * 2.0 ** (heavier - slower),
         gamma=flow.gamma / speed,
         d=flow.d * speed,
         u0=flow.u0 * force_unit,
@@ -137,6 +139,11 @@ def test_lengths_and_times_in_other_units_give_the_same_motion_to_the_last_bit(
     assert theirs.kinds == ours.kinds
     assert theirs.t == tuple(t * 2.0**slower for t in ours.t)
     assert theirs.x == tuple(place * 2.0**longer for place in ours.x)
+    one, another = cycle(flow), cycle(other)
+    assert (another.outcome, another.sequence) == (one.outcome, one.sequence)
+    if one.outcome == "cycle":
+        assert (another.period, another.t_slip) == (one.period * 2.0**slower, one.t_slip * 2.0**slower)
+        assert (another.x_stick, another.v_min) == (one.x_stick * 2.0**longer, one.v_min * speed)
 
 
 # Energy ---------------------------------------------------------------------------------------------------------------

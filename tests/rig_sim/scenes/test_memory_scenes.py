@@ -1,7 +1,5 @@
 """Scenes with friction laws with memory: their motion, the counts of the board, and errors for what is not modelled."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -109,14 +107,3 @@ def test_a_long_motion_goes_on_in_compiled_code(monkeypatch, law):
 def test_a_motion_of_one_sample_ends(law):
     """It was played for ever: a phase of no time stored no sample."""
     assert rig_sim.run(rig(law), 0.001, 100).samples == 1
-
-
-def test_a_scene_file_is_played(tmp_path: Path):
-    path = tmp_path / "mine.toml"
-    path.write_text(
-        '[mass]\nm = 1.0\n[spring]\nk = 1.0\n[belt]\nspeed = 0.5\n[friction]\nlaw = "lugre"\ns0 = "100 N/m"\ns1 = 1.0\n'
-        "Fc = 0.5\nFs = 1.0\nv_s = 0.2\n"
-    )
-    motion = rig_sim.run(path, 20.0, 10.0)
-    assert motion.outcome == "completed"
-    assert 0.9 < motion.F.max() < 1.1

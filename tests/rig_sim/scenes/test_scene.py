@@ -7,28 +7,11 @@ import pytest
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.scenes.model import Scene
-from rig_sim.scenes.scene import builtin_names, parse_changes, scene
+from rig_sim.scenes.scene import parse_changes, scene
 
 
 def changed(*settings: str, base: str = "base") -> Scene:
     return scene(base, **parse_changes(settings))
-
-
-def test_builtin_scenes_are_these() -> None:
-    assert builtin_names() == ["ageing", "base", "damped", "forced", "lugre", "rig", "two-mass"]
-    for name in builtin_names():
-        assert scene(name).name == name
-        assert scene(name).title
-
-
-def test_rig_is_the_laboratory_rig() -> None:
-    rig = scene("rig")
-    assert rig.spring.k / rig.mass.m == pytest.approx(35.184, rel=1e-12)
-    assert rig.friction is not None
-    assert rig.friction.Fs / rig.spring.k == pytest.approx(0.13068, rel=1e-12)
-    assert rig.encoder is not None
-    assert 4 * rig.encoder.metres_per_count == pytest.approx(30.68e-6, rel=1e-4)
-    assert rig.encoder.metres_per_count == pytest.approx(7.67e-6, rel=1e-4)
 
 
 def test_a_slope_of_the_ramp_is_that_slope_whatever_the_break_away_level() -> None:
@@ -78,31 +61,12 @@ def test_an_absent_section_is_created_and_only_named_terms_exist() -> None:
     assert (driven.flow().u0, driven.flow().omega) == (0.2, 0.3)
 
 
-def test_a_scene_is_frozen() -> None:
-    with pytest.raises(ValueError, match="frozen"):
-        scene("base").mass.m = 2.0
-
-
-def test_belt_is_at_rest_before_it_starts() -> None:
-    assert scene("rig").flow(belt_running=False).v_belt == 0
-    assert scene("rig").flow().v_belt == 0.22
-
-
 def test_changes_from_python_may_be_nested_or_dotted() -> None:
     nested = scene("rig", friction={"law": 3, "Fs": 2}, seed=7)
     dotted = scene("rig", **{"friction.law": 3, "friction.Fs": 2, "seed": 7})
     assert nested == dotted
     assert nested.seed == 7
     assert nested.flow().Fs == 2.0
-
-
-def test_a_file_is_a_scene(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text("seed = 3\n[mass]\nm = 2\n[spring]\nk = 8.0\n[friction]\nlaw = 1\nFs = 1\n")
-    mine = scene(path)
-    assert (mine.name, mine.seed, mine.flow().k) == ("mine", 3, 8.0)
-    assert mine.belt is None
-    assert mine.flow().v_belt == 0
 
 
 def test_the_older_name_of_a_section_is_still_read(tmp_path: Path) -> None:

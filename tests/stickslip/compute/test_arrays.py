@@ -1,16 +1,9 @@
-"""Runs of a mask and the integrated autocorrelation time."""
+"""The integrated autocorrelation time."""
 
 import numpy as np
 import pytest
 
-from stickslip.compute.arrays import autocorrelation_time, runs
-
-
-def test_runs_are_half_open_and_in_order():
-    assert runs(np.array([True, True, False, True, False])) == [(0, 2), (3, 4)]
-    assert runs(np.array([False, True, True])) == [(1, 3)]
-    assert runs(np.zeros(7, bool)) == []
-    assert runs(np.zeros(0, bool)) == []
+from stickslip.compute.arrays import autocorrelation_time
 
 
 def test_autocorrelation_time_of_white_noise_is_about_one():

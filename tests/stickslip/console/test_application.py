@@ -79,14 +79,6 @@ def test_completion_is_installed_and_completes_commands(tmp_path):
     assert set(shown.stdout.split()) == {"record", "recover"}, shown.stderr
 
 
-@pytest.mark.parametrize(("typed", "samples"), [("0.5", 500), ("0.5 s", 500), ("500ms", 500)])
-def test_times_take_units(tmp_path, capsys, typed, samples):
-    from daq.cli.app import app
-
-    assert application.run(app, ["record", "--duration", typed, "-o", str(tmp_path / "run.h5"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["samples"] == samples
-
-
 @pytest.mark.parametrize(
     ("app", "line"),
     [

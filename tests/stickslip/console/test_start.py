@@ -4,8 +4,6 @@ import importlib
 import signal
 import subprocess
 import sys
-import time
-import weakref
 
 import pytest
 
@@ -44,28 +42,6 @@ def test_an_entry_point_imports_nothing_before_it_is_guarded():
         "stickslip.console.start",
         "stickslip.lazy",
     ]
-
-
-def test_an_interrupt_that_a_callback_loses_comes_again(monkeypatch, capfd):
-    # In a callback of the import system or of LLVM it was printed as "Exception ignored", and the command went on; sent
-    # again by `_thread.interrupt_main`, it did not end a call that was waiting by then.
-    monkeypatch.setattr(sys, "unraisablehook", start.interrupt_again)
-
-    class Thing:
-        pass
-
-    def lose():
-        thing = Thing()
-        watch = weakref.ref(thing, lambda gone: signal.raise_signal(signal.SIGINT))
-        del thing
-        assert watch() is None
-        time.sleep(20)
-
-    began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        lose()
-    assert time.monotonic() - began < 15
-    assert capfd.readouterr().err == ""
 
 
 def test_a_signal_within_the_handler_of_another_is_not_the_first():

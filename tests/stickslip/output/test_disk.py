@@ -6,8 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -58,17 +56,6 @@ def refused(capsys, application, *arguments):
     return code, capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_run_whose_disk_is_full_keeps_its_journal_and_says_how_to_go_on(full, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with full(30_000):  # the journal of two seconds is smaller, the run file larger
-        code, line = refused(capsys, app, "record", "--duration", 2, "-o", "run.h5")
-        assert code == 3
-        assert line.startswith(
-            "daq: run.h5: the disk is full; the journal is kept; correct that, then get the data with"
-        )
-        assert [path.name for path in tmp_path.iterdir()] == ["run.h5.part"]
-
-
 @pytest.mark.parametrize(
     ("module", "line", "room"),
     [
@@ -76,8 +63,6 @@ def test_a_run_whose_disk_is_full_keeps_its_journal_and_says_how_to_go_on(full, 
         ("rig_sim.cli.app", "run rig --until 20 --rate 1000 -o motion.h5", 20_000),
         ("rig_sim.cli.app", "run rig --until 20 --rate 1000 -o motion.csv", 20_000),
         ("processing.cli", "inspect run.h5 --plot out.png", 5000),
-        ("processing.cli", "smooth run.h5", SAMPLE.stat().st_size + 1000),
-        ("daq.cli.app", "replay run.h5 -o out.h5", 5000),
         # It used to blame the command: "daq: daq: No space left on device".
         ("daq.cli.app", "export run.h5 --csv out.csv", 5000),
     ],
@@ -104,15 +89,6 @@ def test_firmware_on_a_full_disk_is_a_disks_failure_and_leaves_no_empty_file(ful
         assert code == 3
         assert ": the disk is full; " in line
         assert all(path.stat().st_size > 0 for path in (tmp_path / "fw").iterdir())
-
-
-def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, monkeypatch):
-    def refuse(*_, **__):
-        raise PermissionError(13, "Permission denied", "some.partial")
-
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(disk.RefusedError, match=r"out.h5: may not be written; give a place"):
-        atomic.replacing(tmp_path / "out.h5", force=False).__enter__()
 
 
 def twice(x):
@@ -181,28 +157,6 @@ def test_what_a_killed_command_left_is_removed_by_the_next(tmp_path):
     with atomic.replacing(target, force=True) as temporary:
         temporary.write_text("whole")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([target.name, longer.name, other.name])
-
-
-def test_two_commands_that_write_one_file_do_so_one_after_the_other(tmp_path):
-    # Stages added at the same time used to be lost: both copied the file, and the later copy won.
-    target = tmp_path / "lines.txt"
-    target.write_text("")
-    together = threading.Barrier(4)
-
-    def add(number):
-        together.wait()
-        with atomic.replacing(target, force=True) as temporary:
-            before = target.read_text()
-            time.sleep(0.02)
-            temporary.write_text(f"{before}{number}\n")
-
-    threads = [threading.Thread(target=add, args=(number,)) for number in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(target.read_text().split()) == ["0", "1", "2", "3"]
-    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_a_lock_on_the_folder_holds_nobody_up(tmp_path):

@@ -11,7 +11,7 @@ from rig_sim.analyses.settling import Settled, find_attractors, is_same, settle
 from rig_sim.analyses.sweep import sweep
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 
-from ..textbook import BouncingBall, Circle, Duffing, Logistic
+from ..textbook import BouncingBall, Circle, Logistic, OnInterval
 
 
 def moved(f, start=None):
@@ -33,7 +33,8 @@ def test_the_sweep_of_the_logistic_map_doubles_its_period_where_feigenbaum_says(
 def test_starts_on_one_attractor_share_it_and_two_attractors_stay_apart():
     chaos = find_attractors(Logistic(3.9), [np.array([start]) for start in (0.1, 0.2, 0.33)], 3.9)
     assert [(row.share, row.drive_periods) for row in chaos] == [(1.0, None)]
-    rows = find_attractors(Duffing(0.2), [np.array([side, 0.0]) for side in (1.0, -1.0, 1.1)], 0.2)
+    wells = OnInterval(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
+    rows = find_attractors(wells, [np.array([side]) for side in (1.0, -1.0, 1.1)], 0.0)
     assert [(row.share, row.drive_periods) for row in rows] == [(pytest.approx(2 / 3), 1), (pytest.approx(1 / 3), 1)]
 
 
@@ -50,14 +51,6 @@ def test_a_start_that_has_not_quite_settled_is_on_the_orbit_all_the_same():
 def test_an_orbit_approached_from_both_sides_has_period_one():
     """Beside a period doubling every second point used to come back before every point did."""
     assert settle(moved(Logistic(2.985))).period == 1
-
-
-def test_exponent_of_the_logistic_map_is_log_two():
-    found = exponent(moved(Logistic(4.0)), 20_000)
-    assert found.exponent == pytest.approx(math.log(2.0), abs=4.0 * found.stderr)
-    assert found.stderr < 0.01
-    regular = exponent(moved(Logistic(3.2)), 100)
-    assert (regular.exponent, regular.period) == (pytest.approx(0.5 * math.log(0.16), abs=1e-12), 2)
 
 
 def test_rotation_numbers_of_the_circle_map():
@@ -81,17 +74,3 @@ def test_the_bouncing_ball_locks_and_becomes_chaotic():
         assert settle(moved(BouncingBall(e, A), (phase + 0.01, 2.0 * math.pi))).period == period
     found = exponent(moved(BouncingBall(e, 12.0), (0.3, 6.0)), 2000)
     assert found.exponent > 10.0 * found.stderr > 0.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("f", "period"), [(0.2, 1), (0.28, 2), (0.29, 4), (0.37, 5), (0.5, None), (0.65, 2)])
-def test_periods_of_duffing(f, period):
-    assert settle(moved(Duffing(f), (1.0, 0.0))).period == period
-
-
-@pytest.mark.slow
-def test_exponent_of_duffing_in_a_well():
-    """Of complex multipliers each has half the logarithm of the volume; one period's growth used to be taken."""
-    found = exponent(moved(Duffing(0.2), (1.0, 0.0)), 200)
-    assert found.period == 1
-    assert found.exponent == pytest.approx(-0.5 * 0.3 * 2.0 * math.pi / 1.2, abs=1e-4)

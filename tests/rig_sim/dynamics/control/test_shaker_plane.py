@@ -1,13 +1,10 @@
 """Shaker formulas: against mpmath's roots, a complex simulation of the linear rig, and the rig of law 5."""
 
-import cmath
 import math
-from typing import Any
 
 import mpmath
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from rig_sim.analyses.control.shaker import ShakerPlane, phasor, phasor_roots, shaker_for
 
@@ -48,23 +45,6 @@ def test_amplification_and_phase_follow_from_frequency_and_growth() -> None:
         assert abs(exact_roots(m, k, S, a, phi)[0] - complex(omega, delta)) < 1e-11 * abs(complex(omega, delta))
     with pytest.raises(ValueError, match="above 0"):
         shaker_for(1.0, 1.0, 0.3, 0.0, -0.1)
-
-
-@pytest.mark.parametrize(("a", "phi"), [(0.5, 2.6), (0.9, 3.7), (1.4, 1.1)])
-def test_the_linear_rig_with_an_ideal_phase_shifter_oscillates_like_this(a: float, phi: float) -> None:
-    # A complex position stands for an oscillation and its phase; Prony's method on four samples gives both exponents.
-    m, k, S = 0.7, 1.9, 0.35
-    E = a * cmath.exp(-1j * phi)
-
-    def rate(_: float, state: Any) -> list[complex]:
-        return [state[1], ((S + E) * state[1] - k * state[0]) / m]
-
-    step = 0.4
-    times = step * np.arange(4)
-    z = solve_ivp(rate, (0.0, times[-1]), [1.0 + 0j, 0.3 + 0j], "DOP853", times, rtol=1e-13, atol=1e-13).y[0]
-    factors = np.roots([1.0, *(-np.linalg.solve([[z[1], z[0]], [z[2], z[1]]], z[2:]))])
-    measured = max((complex(1j * np.log(factor) / step) for factor in factors), key=lambda Omega: Omega.real)
-    assert phasor(m, k, S, a, phi) == pytest.approx(measured, abs=1e-9)
 
 
 @pytest.mark.parametrize("band", [None, (0.9, 1.1), (0.3, 0.8), (1.02, 3.0)])

@@ -25,16 +25,6 @@ def test_law_2_grazes_on_the_ramps_edge():
     assert (orbit.x_stick, orbit.x_min, orbit.x_max, orbit.v_min) == pytest.approx((1.0, 0.7, 1.3, -0.3), abs=1e-15)
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_backward_belt_mirrors_the_orbit(law):
-    one = cycle(flow_of(law, x0=0.0))
-    other = cycle(flow_of(law, v_belt=-0.5))
-    assert other.period == one.period
-    assert (other.x_min, other.x_max) == (-one.x_max, -one.x_min)
-    assert (other.v_min, other.v_max) == (-one.v_max, -one.v_min)
-    assert other.sequence == one.sequence.replace("N", "P")
-
-
 def test_static_friction_alone_makes_law_1_stick():
     # slip from k x = 1.3 on a circle about x = 1 of radius hypot(0.3, 0.5)
     orbit = cycle(flow_of(1, static=1.3))

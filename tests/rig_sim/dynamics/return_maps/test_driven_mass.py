@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rig_sim.analyses.control import dither
-from rig_sim.analyses.exponent import exponent
 from rig_sim.analyses.settling import find_attractors
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
@@ -70,31 +69,11 @@ def test_growth_is_that_of_two_neighbouring_motions(flow):
     assert total == pytest.approx(math.log(math.hypot(omega0 * difference[0], difference[1]) / omega0), abs=1e-5)
 
 
-@pytest.mark.parametrize("name", ["1.6_1", "1.1_1"])
-def test_growth_on_an_unstable_orbit_is_its_multiplier(name):
-    case = REFERENCE["unstable_orbits"][name]
-    flow = thesis(float(name[:3]))
-    (x,) = case["X_A"]
-    for phase in (math.acos((x - 1.0) / flow.u0), 2.0 * math.pi - math.acos((x - 1.0) / flow.u0)):
-        start = x - flow.v_belt * phase / flow.omega, flow.v_belt  # in stick at phase 0
-        broken = DrivenMap(flow, "slip").motion(start).follow(2)
-        if broken.times[1] - broken.times[0] == pytest.approx(case["K"], abs=1e-6):
-            break
-    assert broken.states[:, 0] == pytest.approx([x, x], abs=1e-8)
-    growth = DrivenMap(flow, "landing").motion(start).follow(1, tangent=True).growth[0]
-    assert math.exp(growth) == pytest.approx(abs(case["mult"]), abs=1e-6)
-
-
 def test_exponent_of_a_mass_that_never_sticks_is_that_of_its_damper():
     """Without friction it is -c T/2m per drive period; the growth of a single period used to be taken for it."""
     found = answer("lyapunov forced --set friction.Fs=0 --set damper.c=0.1 --set mass.m=1.7 --events 2000")
     assert (found["per"], found["stderr"], found["period"]) == ("drive period", 0.0, 1)
     assert found["exponent"] == pytest.approx(-0.1 / (2.0 * 1.7) * 2.0 * math.pi / 1.6, abs=1e-9)
-
-
-def test_exponent_without_a_drive_is_zero_the_motion_may_only_be_late():
-    found = exponent(DrivenMap(thesis(u0=0.0), "landing").motion((0.0, 0.0)), 1000)
-    assert found.exponent == pytest.approx(0.0, abs=1e-8)
 
 
 @pytest.mark.parametrize("omega", EXPONENTS)
