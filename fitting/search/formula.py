@@ -293,6 +293,7 @@ class FormulaCurve(FrictionCurve):
         self.lower, self.upper = self.bounds
         self._first = FrictionSpline.over(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
         self._near = self._first
+        self._last: tuple[Array, FrictionSpline | None] | None = None
         # A logarithm of speed over a tiny speed may fit the target, but is too steep near rest to be integrated.
         self.starts = sorted(search.minima(), key=lambda start: self.spline(self.theta_at(start.values)) is None)
         self.start = self.theta_at(self.starts[0].values)
@@ -347,13 +348,14 @@ class FormulaCurve(FrictionCurve):
 
     def spline(self, theta: Array) -> FrictionSpline | None:
         """Return a spline of the formula, from the last knots if possible; None if not friction or too steep."""
-        crowded = self._near.knots.size > MOST_PIECES // 2
-        for begin in dict.fromkeys((self._first, self._near) if crowded else (self._near, self._first)):
-            spline = self._refine_spline(theta, begin)
-            if spline is not None:
-                self._near = spline
-                return spline
-        return None
+        if self._last is None or not np.array_equal(theta, self._last[0]):
+            crowded = self._near.knots.size > MOST_PIECES // 2
+            begins = dict.fromkeys((self._first, self._near) if crowded else (self._near, self._first))
+            refined = (self._refine_spline(theta, begin) for begin in begins)
+            spline = next((spline for spline in refined if spline is not None), None)
+            self._near = spline or self._near
+            self._last = theta.copy(), spline
+        return self._last[1]
 
     def _refine_spline(self, theta: Array, spline: FrictionSpline) -> FrictionSpline | None:
         while True:

@@ -108,7 +108,7 @@ def settle(fit: Fit, noise_m: Array | None = None) -> Fit | None:
             sigma = np.maximum(np.minimum(fit.noise.sigma, before.noise.sigma / NOISE_CUT), noise_m)
             fit = replace(fit, noise=replace(fit.noise, sigma=sigma))
         noise_stays = bool(np.all(fit.noise.sigma > NOISE_SETTLED * before.noise.sigma))
-        if noise_stays and fit.solution.outcome == "converged":
+        if noise_stays and fit.solution.outcome != "step limit":  # otherwise the same pass again
             break
     return replace(fit, cpu_s=spent + clock.process_time() - begun)
 
