@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.laws import Law, natural_size, undetermined
+from fitting.laws import UNIT_DRAWS, Law, natural_size, undetermined
 from fitting.model.curves import FrictionCurve
 from fitting.model.path import Curve, FrictionSpline, Path, spline_curve
 from fitting.model.tangents import friction_effect, shared_tangents, tangents
@@ -26,7 +26,6 @@ from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
 DOUBLED = 2.0  # factor on a parameter in the test of linearity: the derivative by a linear one does not change
-BEND_DRAWS = 3  # random sets of values for that test
 DERIVATIVE_ROUNDING = 1e-9  # change over a derivative, below which it is rounding
 SCANNED = 40  # values of a single nonlinear parameter: half as many find the same minima
 # Values of each of several nonlinear parameters, and their range over the natural sizes.
@@ -35,7 +34,7 @@ MOST_TRIALS, SEED = 300, 7  # most combinations of such values; from more, a ran
 BEST_TRIALS = 4  # best trials that are refined, each in a separate valley
 SAME_VALLEY = 0.25  # squared difference of two curves over the misfit, below which they are in the same valley
 ROUNDING = 1e-12  # misfit below which it is rounding
-SPEEDS_CHECKED = 400  # slip speeds at which friction must not be negative
+SPEEDS_CHECKED = 400  # slip speeds at which friction must not be negative, and at which curves are compared
 REFUSED_RESIDUAL = 1e9  # residual where the formula is not finite, so that the step is rejected
 
 
@@ -115,7 +114,7 @@ class StartSearch:
     def _varies_with(self, group: tuple[str, ...]) -> bool:
         """Return whether derivatives by a group depend on it at random values; equal values can hide an effect."""
         rng = np.random.default_rng(SEED)
-        for _ in range(BEND_DRAWS):
+        for _ in range(UNIT_DRAWS):
             base = self.fixed | {
                 name: self._move_inside(name, value * rng.uniform(0.5, 2.0)) for name, value in self.begin.items()
             }
