@@ -29,7 +29,7 @@ from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.tangents import tangents
 from fitting.record.motion import MeasuredMotion
-from fitting.search.exchange import FAR_BEYOND_BEST
+from fitting.search.exchange import FAR_BEYOND_BEST, NEAR_BEST
 from fitting.search.fit import Fit
 from fitting.search.passes import finish, first_pass, settle, start_from_regression
 from stickslip.compute.arrays import Array
@@ -333,7 +333,7 @@ def _fit_law_with_departure(
     if first is None or first.geometric_mean_rms > FAR_BEYOND_BEST * least:
         return None
     settled = settle(first, noises)
-    if settled is None or settled.geometric_mean_rms > noise_levels.NEAR * noise:
+    if settled is None or settled.geometric_mean_rms > NEAR_BEST * noise:
         return None
     finished = finish(settled, noises)
     base = None if finished is None else Base.at(finished, fit.problem.motions)

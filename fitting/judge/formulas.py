@@ -34,11 +34,13 @@ from fitting.search.exchange import (
     warm_start,
 )
 from fitting.search.fit import Fit, PassNoise, Unfitted
-from fitting.search.formula import SPEEDS_CHECKED, SPLINE_ERROR, SPLINE_REACH, FormulaCurve, Target, find_starts
+from fitting.search.formula import SPLINE_ERROR, SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.memory import fit_memory
 from fitting.search.passes import finish, finish_from
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
+
+GRID_SPEEDS = 300  # speeds at which a formula is compared with a fitted law, as dense as the curve's knots
 
 
 def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit | None:
@@ -95,7 +97,7 @@ def contained(law: Law, other: Law) -> bool:
 
 def _starts_beside(task: Task, neighbour: Fit) -> list[tuple[FitStart, PassNoise]]:
     """Return starts nearest to another law's friction, at the assumed rest position, with its noise."""
-    curve, knots = task.curve, np.linspace(0.0, 1.0, SPEEDS_CHECKED)
+    curve, knots = task.curve, np.linspace(0.0, 1.0, GRID_SPEEDS)
     if not isinstance(curve, FormulaCurve):
         raise TypeError("not the task of a formula")
     beside = warm_start(task, neighbour)
@@ -124,7 +126,7 @@ def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
 
 def _has_constant(curve: FormulaCurve) -> bool:
     """Return whether the parameters can add a constant, which then hides the rest position."""
-    speeds = np.linspace(0.0, curve.fastest, SPEEDS_CHECKED)
+    speeds = np.linspace(0.0, curve.fastest, GRID_SPEEDS)
     slopes = curve.slopes(curve.start, speeds)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
     one = np.ones(speeds.size)

@@ -42,7 +42,7 @@ from stickslip.compute.workers import workers
 logger = logging.getLogger(__name__)
 # Error over the best, or over the resolution, above which a task is not improved. At 3 no law is compatible.
 FAR_BEYOND_BEST = 5.0
-NEAR_BEST = 2.0  # error over the best, up to which a start is tried and a settled fit takes every sample
+NEAR_BEST = 2.0  # error over the best, or the noise, up to which a start is tried and a fit takes every sample
 LESS_NOISE_ASSUMED = 10.0  # noise over the resolution in a second first pass, made where no task fits to the noise
 NARROW_START = 0.02  # width of a ramp that starts from its jump law's fit, over the width from the regression
 WORSE = 1.0005  # error over a neighbour's, above which a task is fitted again from the neighbour's fit

@@ -34,7 +34,7 @@ MOST_TRIALS, SEED = 300, 7  # most combinations of such values; from more, a ran
 BEST_TRIALS = 4  # best trials that are refined, each in a separate valley
 SAME_VALLEY = 0.25  # squared difference of two curves over the misfit, below which they are in the same valley
 ROUNDING = 1e-12  # misfit below which it is rounding
-SPEEDS_CHECKED = 400  # slip speeds at which friction must not be negative, and at which curves are compared
+SPEEDS_CHECKED = 400  # slip speeds at which friction must not be negative
 REFUSED_RESIDUAL = 1e9  # residual where the formula is not finite, so that the step is rejected
 
 
