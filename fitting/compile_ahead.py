@@ -11,7 +11,6 @@ import sys
 import numpy as np
 
 from fitting.least_squares import elimination
-from fitting.model import memory, memory_flow
 from fitting.model.path import Curve, FrictionSpline, Path, follow, positions
 from fitting.model.tangents import tangents
 from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
@@ -78,16 +77,6 @@ def compile_derivatives() -> None:
     tangents(path, np.zeros((1, 1)))
 
 
-def compile_memory() -> None:
-    """Compile what follows laws with memory, along windows of no run."""
-    floats, rows, columns = np.empty((0, 1)), np.empty((0, 6), np.int64), 1 + memory_flow.PER_WINDOW
-    time, work = np.empty(0), np.empty((4, columns, 3))
-    x, derivatives = np.empty((3, 0)), np.empty((0, columns))
-    compiled(memory_flow.follow_windows, memory.KERNELS, _nrt=False)(
-        0, floats, floats, rows, floats, time, x, derivatives, work, None
-    )
-
-
 def _imagined() -> tuple[ShootingWindows, Array, Array]:
     """Return a slip and a stick window of one cycle, and the unknowns of its run and cycle."""
     run = np.zeros(PER_RUN)
@@ -114,4 +103,3 @@ if __name__ == "__main__":
         compile_predictions()
         compile_arithmetic()
         compile_derivatives()
-        compile_memory()

@@ -129,11 +129,13 @@ def _compete(
         reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, requested in missing if requested)
         sources = ", ".join(record.recording.where for record in records)
         raise DataError(f"none of the requested laws can be fitted ({reasons})", sources, "add laws, as --laws 1-6")
-    judge = partial(compete, noise=nearest.noise, nearest=nearest, runs=runs, alpha=options.alpha, sustained=sustained)
-    competition = judge(fits)
+    judge = partial(compete, noise=nearest.noise, runs=runs, alpha=options.alpha, sustained=sustained)
+    competition = judge(fits, known=[nearest])
     if memory and sustained and not competition.described:
-        with_memory = judge([*fits, *fit_memory_laws(competitors, runs, six, nearest.noise)])
-        competition = with_memory if with_memory.described else competition
+        laws_with_memory = fit_memory_laws(competitors, runs, six, nearest.noise)
+        if laws_with_memory:
+            with_memory = judge([*fits, *laws_with_memory], known=[nearest, *competition.judgements.values()])
+            competition = with_memory if with_memory.described else competition
     return replace(
         competition,
         runs=tuple(runs),

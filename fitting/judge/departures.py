@@ -29,6 +29,7 @@ from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.tangents import tangents
 from fitting.record.motion import MeasuredMotion
+from fitting.search.exchange import FAR_BEYOND_BEST, NEAR_BEST
 from fitting.search.fit import Fit
 from fitting.search.passes import finish, first_pass, settle, start_from_regression
 from stickslip.compute.arrays import Array
@@ -151,7 +152,6 @@ def solve(matrix: Array, right: Array) -> Array:
 
 
 LEAST_GAIN = 12.0  # smallest gain of a reported departure; on a true law gains reach 6
-LEAST_COST_SHARE = 0.01  # smallest gain over the cost: patterns of rounded counts give 0.4 %
 SCALES_AT_ONCE = 16  # scales in one computation of curvatures, of which only those within a scale are used
 # Scales tried near the best one of a scan, in steps of the scan.
 STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
@@ -176,15 +176,14 @@ def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
     """Return the departures that lower the cost by more than noise; a drag must dissipate energy."""
-    thin, least_gain = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
-    misfit = base.misfit_beyond_noise(noise)
+    thin, misfit = base.thinned(), base.misfit_beyond_noise(noise)
     candidates = []
     for departure in DEPARTURES:
         scale = find_best_scale(thin, departure)
         if scale is None:
             continue
         size, gain = (step[0] for step in linear_steps(base, departure, np.array([scale])))
-        if gain > least_gain and (departure.drag is None or size[0] > 0):
+        if gain > LEAST_GAIN and (departure.drag is None or size[0] > 0):
             candidates.append(Candidate(departure, scale, size, float(gain) / max(misfit, LEAST_GAIN)))
     return candidates
 
@@ -232,7 +231,6 @@ def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array
 LEAST_EXPLAINED = 0.5
 RIVAL_SHARE = 0.9  # smallest explained share over the first one's: one step does not distinguish such departures
 MOST_LAWS = 2  # laws that a departure is fitted with: the best, and the best with another curve
-GIVEN_UP_ABOVE_NOISE = 2.0  # error over the noise above which a settled or finished fit is rejected; true ones have 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,30 +308,36 @@ def _list_candidates(
 
 def fit_departure(candidate: Candidate, fits: Sequence[Fit], noise: float) -> Refit | None:
     """Fit a departure with the best laws; None if no fit reaches the noise."""
-    refits = []
+    refits: list[Refit] = []
     curves: list[str] = []
     for fit in fits:
         if fit.law.formula not in curves and len(curves) < MOST_LAWS:
             curves.append(fit.law.formula)
-            refit = _fit_law_with_departure(candidate, fit, noise, tested=fit is fits[0])
+            least = min((refit.median_rms for refit in refits), default=math.inf)
+            refit = _fit_law_with_departure(candidate, fit, noise, least, tested=fit is fits[0])
             refits += [] if refit is None else [refit]
     best = min(refits, key=lambda refit: refit.median_rms, default=None)
     return best if best is not None and best.median_rms < noise_levels.DESCRIBES * noise else None
 
 
-def _fit_law_with_departure(candidate: Candidate, fit: Fit, noise: float, *, tested: bool) -> Refit | None:
-    """Fit a law with a departure, from the law's fit if ``tested``; None if far from the noise or not significant."""
+def _fit_law_with_departure(
+    candidate: Candidate, fit: Fit, noise: float, least: float, *, tested: bool
+) -> Refit | None:
+    """Fit a law with a departure, from the law's fit if ``tested``; None if far from the noise or not significant.
+
+    One that is far from the ``least`` error of another law with it, m, after the first pass is not settled.
+    """
     task = replace(fit.task, forces=(Force(candidate.departure, candidate.scale),))
     noises = np.full(fit.runs, noise)
     first = first_pass(task, _start_with_departure(task, fit if tested else None, candidate.size))
-    settled = None if first is None else settle(first, noises)
-    if settled is None or settled.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * noise:
+    if first is None or first.geometric_mean_rms > FAR_BEYOND_BEST * least:
+        return None
+    settled = settle(first, noises)
+    if settled is None or settled.geometric_mean_rms > NEAR_BEST * noise:
         return None
     finished = finish(settled, noises)
-    if finished is None or finished.geometric_mean_rms > GIVEN_UP_ABOVE_NOISE * noise:
-        return None
-    base = Base.at(finished, fit.problem.motions)
-    if base is None:
+    base = None if finished is None else Base.at(finished, fit.problem.motions)
+    if finished is None or base is None:
         return None
     # A law that fits poorly was fitted only to the thinned record.
     alone, linear = fit.residual if fit.finished else fit.residual_in(finished.windows, fit.local), base.linear

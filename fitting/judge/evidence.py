@@ -37,15 +37,13 @@ from fitting.model.predict import FitStart, law_task
 from fitting.model.problem import Run
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.record.motion import MeasuredMotion
-from fitting.search.exchange import WORSE, fit_from_start
+from fitting.search.exchange import NEAR_BEST, WORSE, fit_from_start
 from fitting.search.fit import Fit
 from stickslip.compute.arrays import Array, autocorrelation_time
 from stickslip.units import Measured
 
 DRAG_PIECES = 8  # equal pieces of a start-up drag, where it is the only evidence
-RELATED_FACTOR = 2.0  # error over the best law's, up to which a nested law also decides which cycles are inliers
 COUNTING_LIMIT = 8.0  # residual of constant friction over an encoder's error: 2 on its own motion, 170 on short sticks
-NOISE_LIMIT = 1.25  # residual of constant friction over white noise: 1.0 on its own motion, known to 4 %
 PIECE_TIMES = 16  # length of a piece in correlation times, chosen: shorter ones have skewed log errors
 LONGEST_WHITE_TIME = 3.0  # correlation time in samples: with a longer one residuals are not white
 # Difference of scores below which a law nested in the winner is as good.
@@ -79,7 +77,7 @@ def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     related_fits = [
         fit
         for fit in fits
-        if fit.geometric_mean_rms < RELATED_FACTOR * best.geometric_mean_rms and _are_related(fit.law, best.law)
+        if fit.geometric_mean_rms < NEAR_BEST * best.geometric_mean_rms and _are_related(fit.law, best.law)
     ]
     inliers = np.logical_and.reduce([fit.inlier_cycles for fit in related_fits])
     return inliers if inliers.sum() >= noise_levels.FEWEST else np.ones_like(inliers)
@@ -140,7 +138,7 @@ def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
 def constant_friction_limit(motion: MeasuredMotion) -> float:
     """Return the largest residual of constant friction on a motion under constant friction, m rms."""
     counting = COUNTING_LIMIT * motion.step**2 / 12 / motion.resolution
-    return math.hypot(counting, NOISE_LIMIT * motion.resolution)
+    return math.hypot(counting, noise_levels.NEAR * motion.resolution)
 
 
 def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:

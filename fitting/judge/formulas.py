@@ -26,6 +26,7 @@ from fitting.model.problem import EstimationProblem, Run
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.search.exchange import (
     FAR_BEYOND_BEST,
+    NEAR_BEST,
     WORSE,
     fits_worse,
     select_better,
@@ -33,15 +34,13 @@ from fitting.search.exchange import (
     warm_start,
 )
 from fitting.search.fit import Fit, PassNoise, Unfitted
-from fitting.search.formula import SPLINE_REACH, FormulaCurve, Target, find_starts
+from fitting.search.formula import SPLINE_ERROR, SPLINE_REACH, FormulaCurve, Target, find_starts
 from fitting.search.memory import fit_memory
-from fitting.search.passes import WHOLE, finish, finish_from
+from fitting.search.passes import finish, finish_from
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
 GRID_SPEEDS = 300  # speeds at which a formula is compared with a fitted law, as dense as the curve's knots
-CONSTANT_LEFT = 1e-6  # share of a constant not spanned by the derivatives of a formula that has one
-START_MISFIT = 4.0  # distance squared over that of the nearest minimum, up to which others are starts
 
 
 def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit | None:
@@ -55,7 +54,7 @@ def fit_formula(law: Law, seen: MeasuredCurve, *, others: Sequence[Fit]) -> Fit 
     beside = warm_start(task, host)
     starts = []
     for start in curve.starts:
-        if start.misfit <= START_MISFIT * curve.starts[0].misfit:
+        if start.misfit <= NEAR_BEST**2 * curve.starts[0].misfit:
             theta = curve.theta_at(start.values)
             friction = curve.at_speeds(theta, target.speeds)
             rise = target.nearest_constant(friction, level_sd) / host.u[Global.K]
@@ -127,12 +126,12 @@ def _is_free_rest(problem: EstimationProblem, place: int) -> bool:
 
 def _has_constant(curve: FormulaCurve) -> bool:
     """Return whether the parameters can add a constant, which then hides the rest position."""
-    speeds = np.linspace(0.0, curve.fastest, 41)
+    speeds = np.linspace(0.0, curve.fastest, GRID_SPEEDS)
     slopes = curve.slopes(curve.start, speeds)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
     one = np.ones(speeds.size)
     left = one - np.einsum("kp,p->k", slopes, np.linalg.lstsq(slopes, one, rcond=None)[0])
-    return bool(np.max(np.abs(left)) < CONSTANT_LEFT)
+    return bool(np.max(np.abs(left)) < SPLINE_ERROR)
 
 
 def _problem(curve: FormulaCurve, host: Fit) -> EstimationProblem:
@@ -241,15 +240,11 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
 
 
 def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
-    """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended.
-
-    One that errs more than constant friction, by more than a search leaves, shows no other friction.
-    """
+    """Return the reason to reject a fit that is worse than that of a contained law: its search has not ended."""
     for other in others:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
-        allowed = 1 + WHOLE.gain if other.law.number == 1 else WORSE
-        worse = fit.geometric_mean_rms > allowed * other.geometric_mean_rms
-        if limit and (worse or fit.rms > allowed * other.rms):
+        worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
+        if limit and (worse or fit.rms > WORSE * other.rms):
             return f"its fit errs more than law {other.law.name}"
     return None
 

@@ -1,6 +1,6 @@
 """The competition of all laws: which laws describe the record, and which of these the data cannot tell apart."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -63,9 +63,15 @@ class Competition:
 
 
 def compete(
-    fits: Sequence[Fit], noise: Array, nearest: LawJudgement, runs: Sequence[Run], alpha: float, *, sustained: bool
+    fits: Sequence[Fit],
+    noise: Array,
+    known: Collection[LawJudgement],
+    runs: Sequence[Run],
+    alpha: float,
+    *,
+    sustained: bool,
 ) -> Competition:
-    """Compare all laws; the set contains only laws that describe the record.
+    """Compare all laws; the set contains only laws that describe the record. Fits in ``known`` are judged already.
 
     The jump law of a narrow ramp is also fitted with a compliant belt. The better of the two fits is the law's row.
     """
@@ -82,7 +88,7 @@ def compete(
             by_law[fit.law], errors[fit.law], penalised[fit.law] = fit, errors_of_fit, penalised_errors
     misfit = {law: _misfit(fit, units, noise) for law, fit in by_law.items()}
     motions, largest = [run.motion for run in runs], float(np.max(noise))
-    known_judgements = {nearest.fit.law: nearest} if nearest.fit is by_law.get(nearest.fit.law) else {}
+    known_judgements = {judged.fit.law: judged for judged in known if judged.fit is by_law.get(judged.fit.law)}
     judgements = judge_near_laws(list(by_law.values()), motions, largest, known_judgements)
     rejected_laws = [law for law, fit in judgements.items() if fit.joint.rejected]
     # a law does not describe the record if a rejected law, in which it is nested, fits better

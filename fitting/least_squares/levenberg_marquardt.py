@@ -37,15 +37,17 @@ from fitting.least_squares.normal_equations import (
 from stickslip.compute.arrays import Array
 
 # Chosen by trial; the minimum does not depend on them.
-FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # over the curvatures; factors after success, failure
+# Over the curvatures: far from the end, and near it, where with less a correction also moves along the valley.
+FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6
+DAMPING_CUT, DAMPING_RISE = 30.0, 10.0  # factors after success, failure
 CAUTIOUS_CUT = 3.0  # factor after a step that was accepted only with more damping
 PROBE_STEP = 0.1  # finite-difference step of the second derivative, over the step
-CORRECTION_DAMPING = 1e-6  # damping of a correction across a valley: with less it also moves along the valley
 CORRECTED_GAIN = 1e-4  # smallest gain over the cost of a corrected step: with less a shorter step may gain more
 LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
 LEAST_CHANGE = 1e-12  # change over the cost, below which it is rounding
 FAILED_SHARE = 0.1  # share in the rise of the cost of a failed step, above which a cycle is fitted again
-CYCLE_REFIT: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # how failed cycles are fitted anew
+# How failed cycles are fitted anew.
+CYCLE_REFIT: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": LATER_DAMPING}
 ROUNDED = 1e-13  # eigenvalue over the largest, below which a direction is rounding
 LARGEST_ACCELERATION = 0.75  # twice the acceleration over the step, above which the step is too long
 
@@ -200,7 +202,7 @@ def _lead_back(problem: LeastSquaresProblem, point: Point, trial: Trial, residua
     gradient = sum_gradients(problem.first, residual * problem.weight, point.derivatives, p + trial.local.shape[1])
     g = gradient[:, :p].sum(axis=0) + problem.precision * (trial.u - problem.prior)
     gl = gradient[:, p:] + problem.local_precision * (trial.local - problem.local_prior)
-    damped = SchurComplement(point.blocks, CORRECTION_DAMPING, (trial.local >= problem.local_upper) & (gl < 0))
+    damped = SchurComplement(point.blocks, LATER_DAMPING, (trial.local >= problem.local_upper) & (gl < 0))
     step = _step(problem, trial.u, damped, g, gl)
     u = np.clip(trial.u + step.u, problem.lower, problem.upper)
     local = np.minimum(trial.local + step.local, problem.local_upper)

@@ -48,7 +48,7 @@ class FrictionSpline:
     knots: Array  # (n + 1,) slip speeds from 0, m/s, increasing
     # (n + 3,) friction per unit mass, m/s^2; the first is that at s = 0, the last that at the last knot
     coefficients: Array
-    # (n + 3, n, 4) each basis function's polynomials: powers from 0 of the distance to the knot below
+    # (4, n, 4) polynomials of the four basis functions on each piece: powers from 0 of the distance to the knot below
     basis_pieces: Array
 
     @classmethod
@@ -73,7 +73,8 @@ class FrictionSpline:
     @cached_property
     def pieces(self) -> Array:
         """The spline's polynomials, shape (n, 4), as in `basis_pieces`."""
-        return np.ascontiguousarray(np.einsum("j,jik->ik", self.coefficients, self.basis_pieces))
+        on_piece = np.lib.stride_tricks.sliding_window_view(self.coefficients, DEGREE + 1)
+        return np.ascontiguousarray(np.einsum("ij,jik->ik", on_piece, self.basis_pieces))
 
     @cached_property
     def table(self) -> Array:
@@ -111,7 +112,7 @@ class FrictionSpline:
 
 
 def _basis_pieces(knots: Array) -> Array:
-    """Return the polynomials (n + 3, n, 4) of the basis functions over knots (n + 1,), as `basis_pieces`.
+    """Return the polynomials (4, n, 4) of the basis functions over knots (n + 1,), as `basis_pieces`.
 
     By the recurrence of C. de Boor, A Practical Guide to Splines (2001), X, on all pieces at once.
     """
@@ -133,10 +134,7 @@ def _basis_pieces(knots: Array) -> Array:
                 fall = (t[j + k + 1] - below)[:, None] * functions[row + 1] - np.roll(functions[row + 1], 1, axis=1)
                 total += fall / (t[j + k + 1] - t[j + 1])[:, None]
             functions[row] = total
-    pieces = np.zeros((n + DEGREE, n, DEGREE + 1))
-    for row in range(DEGREE + 1):
-        pieces[piece + row, piece] = functions[row]
-    return pieces
+    return functions[: DEGREE + 1].copy()
 
 
 def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, directions: Array, out: Array) -> None:
@@ -149,7 +147,7 @@ def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, directions:
         beyond = max(s[column] - last, 0.0)
         z = s[column] - beyond - knots[i]
         for j in range(i, i + DEGREE + 1):  # the others are 0 on this piece
-            c = pieces[j, i]
+            c = pieces[j - i, i]
             rate = c[1] + z * (2.0 * c[2] + z * 3.0 * c[3])
             acting = factor[column] * (c[0] + z * (c[1] + z * (c[2] + z * c[3])) + beyond * rate)
             for m in range(out.shape[0]):
@@ -170,7 +168,7 @@ def fill_nearest(
         i = piece_of(knots, knots.size - 1, s[row])
         z = s[row] - knots[i]
         for p in range(DEGREE + 1):
-            c = pieces[i + p, i]
+            c = pieces[p, i]
             acting[p] = c[0] + z * (c[1] + z * (c[2] + z * c[3]))
             coefficients[i + p] += acting[p] * values[row]
             for q in range(p + 1):

@@ -5,7 +5,7 @@ settle       tasks within `GIVEN_UP_BEYOND_BEST` times the best error are fitted
 exchange     a task that fits worse than a neighbour is fitted again, with the neighbour's fit as warm start
 overtaking   cycles in which the mass overtakes the belt are found
 level        a ramp gets a separate break-away level where that improves its fit; one more exchange follows
-finish       tasks within `FINISHED_NEAR_BEST` times the best error are fitted to every sample; one exchange follows
+finish       tasks within `NEAR_BEST` times the best error are fitted to every sample; one exchange follows
 """
 
 import logging
@@ -42,7 +42,7 @@ from stickslip.compute.workers import workers
 logger = logging.getLogger(__name__)
 # Error over the best, or over the resolution, above which a task is not improved. At 3 no law is compatible.
 FAR_BEYOND_BEST = 5.0
-FINISHED_NEAR_BEST = 2.0  # error over the best when settled, up to which a fit takes every sample
+NEAR_BEST = 2.0  # error over the best, or the noise, up to which a start is tried and a fit takes every sample
 LESS_NOISE_ASSUMED = 10.0  # noise over the resolution in a second first pass, made where no task fits to the noise
 NARROW_START = 0.02  # width of a ramp that starts from its jump law's fit, over the width from the regression
 WORSE = 1.0005  # error over a neighbour's, above which a task is fitted again from the neighbour's fit
@@ -124,7 +124,7 @@ def fit_all(
     requested = [task for task in tasks if is_requested(task)]
     needed = [is_requested(task) or any(other.curve.contains(task.curve) for other in requested) for task in tasks]
     fits, needed_tasks = list(compress(fits, needed)), list(compress(tasks, needed))
-    finished = improve_near_best(fits, finish, FINISHED_NEAR_BEST, map_tasks)
+    finished = improve_near_best(fits, finish, NEAR_BEST, map_tasks)
     finished = exchange_starts(needed_tasks, finished, map_tasks, old_fits=fits)
     return [fit for fit in finished if fit is not None and is_requested(fit.task)]
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.laws import Law, hold_confounded, natural_size
+from fitting.laws import UNIT_DRAWS, Law, hold_confounded, natural_size
 from fitting.model.curves import FrictionCurve
 from fitting.model.path import Curve, FrictionSpline, Path, spline_curve
 from fitting.model.tangents import friction_effect, shared_tangents, tangents
@@ -26,7 +26,6 @@ from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 
 DOUBLED = 2.0  # factor on a parameter in the test of linearity: the derivative by a linear one does not change
-BEND_DRAWS = 3  # random sets of values for that test
 DERIVATIVE_ROUNDING = 1e-9  # change over a derivative, below which it is rounding
 SCANNED = 40  # values of a single nonlinear parameter: half as many find the same minima
 # Values of each of several nonlinear parameters, and their range over the natural sizes.
@@ -115,7 +114,7 @@ class StartSearch:
     def _varies_with(self, group: tuple[str, ...]) -> bool:
         """Return whether derivatives by a group depend on it at random values; equal values can hide an effect."""
         rng = np.random.default_rng(SEED)
-        for _ in range(BEND_DRAWS):
+        for _ in range(UNIT_DRAWS):
             base = self.fixed | {
                 name: self._move_inside(name, value * rng.uniform(0.5, 2.0)) for name, value in self.begin.items()
             }
@@ -289,6 +288,7 @@ class FormulaCurve(FrictionCurve):
         self.lower, self.upper = self.bounds
         self._first = FrictionSpline.over(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
         self._near = self._first
+        self._last: tuple[Array, FrictionSpline | None] | None = None
         # A logarithm of speed over a tiny speed may fit the target, but is too steep near rest to be integrated.
         self.starts = sorted(search.minima(), key=lambda start: self.spline(self.theta_at(start.values)) is None)
         self.start = self.theta_at(self.starts[0].values)
@@ -343,13 +343,14 @@ class FormulaCurve(FrictionCurve):
 
     def spline(self, theta: Array) -> FrictionSpline | None:
         """Return a spline of the formula, from the last knots if possible; None if not friction or too steep."""
-        crowded = self._near.knots.size > MOST_PIECES // 2
-        for begin in dict.fromkeys((self._first, self._near) if crowded else (self._near, self._first)):
-            spline = self._refine_spline(theta, begin)
-            if spline is not None:
-                self._near = spline
-                return spline
-        return None
+        if self._last is None or not np.array_equal(theta, self._last[0]):
+            crowded = self._near.knots.size > MOST_PIECES // 2
+            begins = dict.fromkeys((self._first, self._near) if crowded else (self._near, self._first))
+            refined = (self._refine_spline(theta, begin) for begin in begins)
+            spline = next((spline for spline in refined if spline is not None), None)
+            self._near = spline or self._near
+            self._last = theta.copy(), spline
+        return self._last[1]
 
     def _refine_spline(self, theta: Array, spline: FrictionSpline) -> FrictionSpline | None:
         while True:

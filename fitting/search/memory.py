@@ -50,7 +50,9 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
         return "no first values of its parameters follow the measured slips; give them as --start"
     tasks = [memory_task(law, few_cycles, values) for values, _ in begun]
     starts = [warm_start(task, u) for task, (_, u) in zip(tasks, begun, strict=True)]
-    few = settle_from_starts(tasks[0], [(start, None) for start in starts])
+    few = settle_from_starts(
+        tasks[0], [(start, None) for start in starts], smallest_other_error=nearest.geometric_mean_rms
+    )
     if few is None:
         return "its motion cannot be followed"
     if noise is not None and few.geometric_mean_rms > noise_levels.LOST * float(np.max(noise)):

@@ -16,6 +16,7 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.levenberg_marquardt import FIRST_DAMPING, LATER_DAMPING
 from fitting.least_squares.normal_equations import LeastSquaresProblem, cost_by_cycle
 from fitting.model import flow, unknowns
 from fitting.model.curves import LawCurve
@@ -43,7 +44,6 @@ WHOLE = Limits(30, 1e-5, np.inf, corrections=3)  # with every sample
 MOST_PASSES = 4  # passes after the first; the noise of a true law stays after two
 NOISE_SETTLED = 0.8  # estimated over assumed noise, above which a pass is the last
 NOISE_CUT = 4.0  # largest factor by which the assumed noise falls from pass to pass, where ``noise_m`` is given
-FIRST_DAMPING, LATER_DAMPING = 1e-4, 1e-6  # of the curvatures: far from the end, and near it
 CYCLE_RESTART: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the own unknowns of outlying cycles
 GIVEN_UP_BEYOND_BEST = 30.0  # error over the best after the first pass; true laws reach 20 in harsh records
 STATIC_GAIN = 5.0  # least gain in log likelihood by a separate break-away level of a ramp
@@ -108,7 +108,7 @@ def settle(fit: Fit, noise_m: Array | None = None) -> Fit | None:
             sigma = np.maximum(np.minimum(fit.noise.sigma, before.noise.sigma / NOISE_CUT), noise_m)
             fit = replace(fit, noise=replace(fit.noise, sigma=sigma))
         noise_stays = bool(np.all(fit.noise.sigma > NOISE_SETTLED * before.noise.sigma))
-        if noise_stays and fit.solution.outcome == "converged":
+        if noise_stays and fit.solution.outcome != "step limit":  # otherwise the same pass again
             break
     return replace(fit, cpu_s=spent + clock.process_time() - begun)
 

@@ -106,7 +106,7 @@ def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeyp
     monkeypatch.setattr(
         departures,
         "_fit_law_with_departure",
-        lambda _, fit, noise, tested: SimpleNamespace(law=fit.law, median_rms=left[fit.law]),
+        lambda _, fit, noise, least, tested: SimpleNamespace(law=fit.law, median_rms=left[fit.law]),
     )
     assert fit_departure(None, fits, NOISE).law == SIX[3]
     left[SIX[3]] = 1.2 * NOISE
