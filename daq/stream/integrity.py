@@ -157,11 +157,8 @@ class CountCheck:
             flags = np.zeros(0, dtype=np.uint16)
             return CheckedCounts(make_empty(), flags, flags, make_empty(), peak_count_rate=self.peak_count_rate)
         self._last = window.take(np.arange(n) == n - 1)
-        first = counters.wrap_signed(window.up.astype(np.int64) - window.down, bits) * scale
-        if new.start:
-            begins[0], first[0] = True, count_before
-        ups, downs = (counters.diff_unsigned(column, bits[1:]) for column in (window.up, window.down))
-        count = counters.running_sum(begins, (ups - downs) * scale[1:], first)
+        begins[: new.start] = True
+        count = counters.net_count(window.up, window.down, begins, bits, scale, count_before if new.start else None)
         segment = segments + np.cumsum(begins) - 1
         flags = (window.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
         flags[lost > 0] |= counters.FLAG_GAP
