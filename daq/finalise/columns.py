@@ -11,7 +11,7 @@ from daq.runfile.belt_counter import BeltCount
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import Raw, Truth
 from daq.runfile.spill import Column, Shelf, Spill
-from daq.stream.connections import TICK_NS
+from daq.stream.connections import find_units
 from daq.stream.integrity import CheckedCounts
 from daq.stream.timeline import Samples, TruthRows, sample_keys, split_parts
 from daq.wire import frames
@@ -28,12 +28,7 @@ class RunColumns:
 
     def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], truth: Shelf[TruthRows], spill: Spill) -> None:
         self._rig, self._spill = rig, spill
-        ticks: list[int] = []
-        bits: list[int] = []
-        for ident in idents:
-            ticks.append(TICK_NS if ident is None else ident.tick_ns)
-            bits.append(rig.counter_bits if ident is None else ident.counter_bits)
-        self._ticks, self._bits = np.array(ticks, dtype=np.int64), np.array(bits, dtype=np.int64)
+        self._units = find_units(idents, rig)
         self._columns: dict[str, Column] = {}
         self._starts: list[int] = []
         self._samples = 0
@@ -52,7 +47,7 @@ class RunColumns:
         if not len(samples):
             return
         sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
-        tick_ns, bits = self._ticks[samples.source], self._bits[samples.source]
+        tick_ns, bits = self._units.tick_ns[samples.source], self._units.bits[samples.source]
         microseconds = sent * tick_ns // 1000
         self._append("time", samples.time)
         self._append("position", position)
@@ -114,7 +109,7 @@ class RunColumns:
         shift = np.zeros(len(samples))
         for part, span in split_parts(samples):
             if part != self._part:
-                device_s = samples.ticks[span.start] * int(self._ticks[samples.source[span.start]]) / 1e9
+                device_s = samples.ticks[span.start] * int(self._units.tick_ns[samples.source[span.start]]) / 1e9
                 self._part, self._shift_s = part, float(samples.time[span.start] - device_s)
             shift[span] = self._shift_s
         time, x, v, force = rows[row].T

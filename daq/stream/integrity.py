@@ -139,7 +139,6 @@ class CountCheck:
         surveyed_s = survey.find_safe_gap_s(rig, self._units.edges, self.peak_count_rate)
         self._safe_s = surveyed_s if safe_gap_s is None else safe_gap_s
         self._offsets = survey.find_offsets(self._safe_s) if self._units.phase.any() else None
-        self._ticks_ns = np.array([1000 if ident is None else ident.tick_ns for ident in survey.idents])
         self._last: Samples | None = None
         self._n_taken = self._count = self._segments = self._illegal_rise = 0
 
@@ -190,7 +189,7 @@ class CountCheck:
             "invalid" if invalid[new][s] else samples.begun_by[samples.part[s]] for s in starts
         )
         self._n_taken += len(samples)
-        tick_s = _expand(self._ticks_ns, window) / 1e9
+        tick_s = _expand(self._units.tick_ns, window) / 1e9
         leap_s = np.diff(window.ticks, prepend=window.ticks[:1]) * tick_s - interval
         leap_s[continuity.begins != _LEAP] = 0.0
         paused = np.flatnonzero(continuity.begins[new] == _PAUSE)
