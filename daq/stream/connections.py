@@ -84,7 +84,6 @@ def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
         dt=dt,
         idents=new_frame[stream.idents],
         crc_frame=new_frame[stream.crc_frame],
-        truth_frame=new_frame[stream.truth_frame],
         part_frame=new_frame[stream.part_frame],
         configs=tuple((int(new_frame[at]), text) for at, text in stream.configs),
         notices=tuple((int(new_frame[at]), text) for at, text in stream.notices),

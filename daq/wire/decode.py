@@ -53,10 +53,8 @@ class Stream:
     unknown: int = 0
     # (f,) the time as sent less ``ticks``: not 0 where it was wrong and has been interpolated; None: as sent
     time_error: NDArray[np.int64] | None = None
-    # (m,) sequence number as sent of each row of truth, and the frame after it
-    truth_seq: NDArray[np.int64] = field(default_factory=_empty)
-    truth_frame: NDArray[np.int64] = field(default_factory=_empty)
-    truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))  # (m, 4) time, x, v, F
+    # (n, 4) exact time, x, v, F of each sample, NaN where it was not sent; None of boards that never send it
+    truth: NDArray[np.float64] | None = None
     # (p,) reads that ended inside a frame: stamp, frame, and how many of its bytes had arrived
     part_stamp_ns: NDArray[np.int64] = field(default_factory=_empty)
     part_frame: NDArray[np.int64] = field(default_factory=_empty)
@@ -160,13 +158,19 @@ def _read_lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterat
             if splitter.pending_bytes and begin + len(data) == len(read):
                 parts.append((stamp, len(bodies), splitter.pending_bytes))
             bytes_taken += len(data)
-            if bytes_taken >= most_bytes:
+            if bytes_taken >= most_bytes and not _awaits_truth(bodies):
                 carried = [(stamp_ns, 0, count) for stamp_ns, line, count in parts if line == len(bodies)]
                 parts = [part for part in parts if part[1] < len(bodies)]
                 yield pack()
                 bytes_taken = 0
                 bodies, length, ends, parts = [], array("q"), [], carried
     yield pack()
+
+
+def _awaits_truth(bodies: list[bytes]) -> bool:
+    """Return whether the exact motion of the last frame, sent after it, may be still to come."""
+    kinds = [body[:1] for body in bodies]
+    return kinds[-1:] == [b"S"] and b"T" in kinds
 
 
 def _build_stream(
@@ -209,9 +213,15 @@ def _build_stream(
     if first_piece:
         damaged = damaged[damaged > 0]  # the first line's beginning may be missing
 
-    truths = [(line, frame) for line, frame in others if isinstance(frame, wire.TruthFrame)]
-    truth_n = [len(frame.rows) for _, frame in truths]
-    truth_seq = [seq & 0xFFFF for _, frame in truths for seq in range(frame.seq, frame.seq + len(frame.rows))]
+    sends_truth = [
+        wire.Capability.TRUTH in each.capabilities for _, each in [(0, ident), *identified] if each is not None
+    ]
+    truth = np.full((len(rows), 4), np.nan) if any(sends_truth) else None
+    for line, frame in others:
+        k = int(before[line]) - 1  # the frame with samples before it
+        if truth is not None and isinstance(frame, wire.TruthFrame) and k >= 0:
+            if (heads["seq"][k], n[k]) == (frame.seq, len(frame.rows)):
+                truth[first[k] : first[k] + n[k]] = frame.rows
     part_ns, part_line, part_bytes = np.array(lines.parts, dtype=np.int64).reshape(-1, 3).T
     inside = np.isin(part_line, frame_line)
     # Of boards that differ, what all of them send.
@@ -234,9 +244,7 @@ def _build_stream(
         notices=tuple(
             (int(before[line]), printable(frame.text)) for line, frame in others if isinstance(frame, wire.Notice)
         ),
-        truth_seq=np.array(truth_seq, dtype=np.int64),
-        truth_frame=np.repeat(before[np.array([line for line, _ in truths], dtype=np.int64)], truth_n),
-        truth=np.array([row for _, frame in truths for row in frame.rows], dtype=np.float64).reshape(-1, 4),
+        truth=truth,
         crc_frame=before[damaged],
         crc_errors=len(damaged),
         unknown=len(unknown),

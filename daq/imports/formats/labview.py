@@ -53,7 +53,7 @@ def read(path: Path, text: str) -> Table:
         raise InputError("its header does not end", where, "export it again, or delete the lines above the table")
     header = _parse_tags(lines[:end], separator)
     segments = [segment for segment in _split_segments(lines, end + 1, separator, where) if segment.rows]
-    if not segments:
+    if not segments or {*segments[0].names} <= {_COLUMNS}:
         raise InputError("has no numbers", where, "give a measurement with a channel of positions")
     first = segments[0]
     decimal = header.get("Decimal_Separator", [""])[0] or _find_decimal(
