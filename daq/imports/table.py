@@ -99,7 +99,7 @@ class Table:
 
     def columns(
         self, readers: Sequence[ColumnReader], *, skip: bool, progress: Stages = silent
-    ) -> "tuple[Array, Table, list[int]]":
+    ) -> "tuple[Array, Table, tuple[int, ...]]":
         """Return columns as numbers, their lines (a table without cells), and lines left out, which ``skip`` allows."""
         values = np.empty((len(readers), len(self.rows)))
         filled = 0
@@ -128,7 +128,7 @@ class Table:
             what, column = problem
             several = f"; {len(bad)} lines cannot be read: {list_lines(bad)}"
             raise InputError(what + several * (len(bad) > 1), self.locate(bad[0], column), do, python=python)
-        return values[:, :filled], replace(self, rows=(), lines=self.lines[good]), bad
+        return values[:, :filled], replace(self, rows=(), lines=self.lines[good]), tuple(bad)
 
     def take(self, which: slice) -> "Table":
         """Return the table of some of its lines."""

@@ -7,7 +7,7 @@ position is the spring's stretch, force / stiffness, and the belt's speed is the
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -183,7 +183,7 @@ def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
 
 def _read_numbers(
     cells: table.Table, columns: Columns, options: ImportOptions, progress: Stages
-) -> tuple[Array, table.Table, list[int]]:
+) -> tuple[Array, table.Table, tuple[int, ...]]:
     """Return positions, times if any, and the belt if any, as `daq.imports.table.Table.columns` does."""
     readers: list[table.ColumnReader] = [(columns.position, cells.number, "a number")]
     if columns.time is not None:
@@ -426,7 +426,7 @@ def _complete_run(
     run: Recording,
     cells: table.Table,
     columns: dict[str, str],
-    skipped: list[int],
+    skipped: Sequence[int],
 ) -> Recording:
     if options.started is None:
         start = datetime.fromtimestamp(cells.modified_s, UTC).replace(microsecond=0)
@@ -440,7 +440,7 @@ def _complete_run(
     if cells.recorded:
         lines.append(f"recorded = {quote(cells.recorded)}")
     if skipped:
-        lines.append(f"skipped_lines = {skipped}")
+        lines.append(f"skipped_lines = {[*skipped]}")
     try:
         end = start + timedelta(seconds=float(run.time[-1]))
         end.timestamp()
