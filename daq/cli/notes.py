@@ -59,13 +59,8 @@ def note(
     for _, text in marks:
         check_text(text, "--mark")
     annotated = store.annotate(run, written, marks) if written or marks else store.load(run, slice(1))
-    time = store.read_times(run) if "marker" in annotated.event_kind else None
-    events = zip(annotated.event_sample, annotated.event_kind, annotated.event_note, strict=True)
-    markers = [
-        {"t": float(time[sample]), "text": text}
-        for sample, kind, text in events
-        if time is not None and kind == "marker"
-    ]
+    times = store.read_times(run) if "marker" in annotated.event_kind else annotated.time
+    markers = [{"t": time, "text": text} for time, text in annotated.list_markers(times)]
     data = {"file": run, **_list_notes(annotated), "markers": markers}
     lines = [f"{run}: {annotated.title}"]
     lines += [f"{name}: {text}" for name, text in annotated.remarks().items()]

@@ -10,10 +10,10 @@ from daq.runfile import belt_counter
 from daq.runfile.belt_counter import BeltCount
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import Raw, Truth
-from daq.runfile.spill import Column, Shelf, Spill
-from daq.stream.connections import TICK_NS
+from daq.runfile.spill import Column, Spill
+from daq.stream.connections import find_units
 from daq.stream.integrity import CheckedCounts
-from daq.stream.timeline import Samples, TruthRows, sample_keys, split_parts
+from daq.stream.timeline import Samples, split_parts
 from daq.wire import frames
 
 
@@ -22,24 +22,16 @@ class RunColumns:
 
     rig: Its calibration.
     idents: The identifications that it was sent under.
-    truth: The exact motion as sent.
     spill: Storage of the columns.
     """
 
-    def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], truth: Shelf[TruthRows], spill: Spill) -> None:
+    def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], spill: Spill) -> None:
         self._rig, self._spill = rig, spill
-        ticks: list[int] = []
-        bits: list[int] = []
-        for ident in idents:
-            ticks.append(TICK_NS if ident is None else ident.tick_ns)
-            bits.append(rig.counter_bits if ident is None else ident.counter_bits)
-        self._ticks, self._bits = np.array(ticks, dtype=np.int64), np.array(bits, dtype=np.int64)
+        self._units = find_units(idents, rig)
         self._columns: dict[str, Column] = {}
         self._starts: list[int] = []
         self._samples = 0
         self._belt = BeltCount()
-        self._truth = truth
-        self._truth_keys = [(int(rows.key.min()), int(rows.key.max())) for rows in truth]
         self._part, self._shift_s = -1, 0.0
 
     def has(self, name: str) -> bool:
@@ -52,7 +44,7 @@ class RunColumns:
         if not len(samples):
             return
         sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
-        tick_ns, bits = self._ticks[samples.source], self._bits[samples.source]
+        tick_ns, bits = self._units.tick_ns[samples.source], self._units.bits[samples.source]
         microseconds = sent * tick_ns // 1000
         self._append("time", samples.time)
         self._append("position", position)
@@ -72,8 +64,8 @@ class RunColumns:
             begins[checked.starts - self._samples] = True
             self._append("belt", self._belt.take(samples.belt, begins, bits))
         self._starts += checked.starts.tolist()
-        if self._truth_keys:
-            self._take_truth(samples)
+        if samples.truth is not None:
+            self._take_truth(samples, samples.truth)
         self._samples += len(samples)
 
     def build_raw(self) -> Raw:
@@ -94,7 +86,7 @@ class RunColumns:
 
     def build_truth(self, scene: str) -> Truth | None:
         """Return the exact motion at the received samples, its time on the run's axis; None if none was sent."""
-        if not self._truth_keys:
+        if not self.has("truth_time"):
             return None
         time, x, v, force = (self[f"truth_{name}"] for name in ("time", "x", "v", "F"))
         return Truth(time, x, v, force, scene)
@@ -103,25 +95,20 @@ class RunColumns:
         if values is not None:
             self._columns.setdefault(name, Column(self._spill)).append(values)
 
-    def _take_truth(self, samples: Samples) -> None:
-        key = sample_keys(samples.part, samples.index)
-        least, most = int(key.min()), int(key.max())
-        overlapping = [k for k, (low, high) in enumerate(self._truth_keys) if low <= most and high >= least]
-        sent_rows = [self._truth[k] for k in overlapping]
-        keys = np.concatenate([np.empty(0, dtype=np.int64), *(rows.key for rows in sent_rows)])
-        rows = np.concatenate([np.empty((0, 4)), *(rows.rows for rows in sent_rows)])
-        _, samples_found, row = np.intersect1d(key, keys, return_indices=True)
+    def _take_truth(self, samples: Samples, truth: NDArray[np.float64]) -> None:
         shift = np.zeros(len(samples))
         for part, span in split_parts(samples):
             if part != self._part:
-                device_s = samples.ticks[span.start] * int(self._ticks[samples.source[span.start]]) / 1e9
+                device_s = samples.ticks[span.start] * int(self._units.tick_ns[samples.source[span.start]]) / 1e9
                 self._part, self._shift_s = part, float(samples.time[span.start] - device_s)
             shift[span] = self._shift_s
-        time, x, v, force = rows[row].T
-        self._append("truth_time", time + shift[samples_found])
-        self._append("truth_x", x)
-        self._append("truth_v", v)
-        self._append("truth_F", force)
+        sent = ~np.isnan(truth[:, 0])
+        if sent.any():
+            time, x, v, force = truth[sent].T
+            self._append("truth_time", time + shift[sent])
+            self._append("truth_x", x)
+            self._append("truth_v", v)
+            self._append("truth_F", force)
 
 
 def _edge_us(edge: NDArray[np.uint16], tick_ns: NDArray[np.int64]) -> NDArray[np.uint16]:

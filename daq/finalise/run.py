@@ -167,9 +167,7 @@ def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]],
     rate_hz = float(header["rate_hz"])
     configurations = list(recorded.records.of_kind(journal.CONFIGURATION))
     starts_at_phase = header["protocol"] == "frames"
-    timeline = Timeline(
-        connections.decode_connections(recorded), rate_hz, connections.TICK_NS, header["samples"], spill
-    )
+    timeline = Timeline(connections.decode_connections(recorded), rate_hz, connections.TICK_NS, header["samples"])
     _, rig, _ = read_calibration(configurations, (), None)
     survey = CountSurvey(timeline.idents, rig.counter_bits, rate_hz, starts_at_phase=starts_at_phase)
     all_samples: Shelf[Samples] = Shelf(spill)
@@ -187,7 +185,7 @@ def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]],
     longest = max(timeline.lengths, key=timeline.lengths.__getitem__)
     clock = PartClock(longest, header["baud"], timeline.times_bytes, spill)
     totals, events = DataTotals(repeated=timeline.repeated), RunEvents(markers, rate_hz)
-    columns = RunColumns(rig, timeline.idents, timeline.truth, spill)
+    columns = RunColumns(rig, timeline.idents, spill)
     for samples, sent in zip(all_samples, all_frames, strict=True):
         piece = Piece(drop_columns(samples, timeline.missing), sent)
         checked = count_check.take(piece.samples)

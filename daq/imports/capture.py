@@ -59,35 +59,28 @@ def choose_wiring(capture: Capture, options: ProbeOptions) -> Wiring:
 
 def decode_chunks(capture: Capture, wiring: Wiring) -> Iterator[tuple[NDArray[np.uint8], Steps, Totals]]:
     """Yield the levels of each chunk (A + 2 B, or step + 2 direction), the steps in it, and the totals after it."""
-    quadrature = Decoder(wiring.decoder) if wiring.decoder != TWO_COUNTER else None
-    pulses = PulseDecoder()
+    decoder = _make_decoder(wiring)
     for levels in capture.levels(*wiring.bits):
-        if quadrature is not None:
-            steps = quadrature.feed(levels)
-        else:
-            steps = pulses.feed(levels & 1, levels >> 1)
-        yield levels, steps, _read_totals(quadrature, pulses)
+        yield levels, decoder.feed(levels), _read_totals(decoder)
 
 
 def decode(capture: Capture, wiring: Wiring, progress: Callable[[float], None] = lambda done: None) -> Totals:
     """Decode a whole capture; ``progress`` is called with the number of samples decoded."""
-    quadrature = Decoder(wiring.decoder) if wiring.decoder != TWO_COUNTER else None
-    pulses = PulseDecoder()
+    decoder = _make_decoder(wiring)
     done = 0
     for levels in capture.levels(*wiring.bits):
-        if quadrature is not None:
-            quadrature.count(levels)
-        else:
-            pulses.feed(levels & 1, levels >> 1)
+        decoder.count(levels)
         done += levels.size
         progress(done)
-    return _read_totals(quadrature, pulses)
+    return _read_totals(decoder)
 
 
-def _read_totals(quadrature: Decoder | None, pulses: PulseDecoder) -> Totals:
-    if quadrature is None:
-        return Totals(pulses.up, pulses.down, pulses.net, 0, pulses.edges)
-    return Totals(quadrature.up, quadrature.down, quadrature.net, quadrature.illegal, quadrature.edges)
+def _make_decoder(wiring: Wiring) -> Decoder | PulseDecoder:
+    return PulseDecoder() if wiring.decoder == TWO_COUNTER else Decoder(wiring.decoder)
+
+
+def _read_totals(decoder: Decoder | PulseDecoder) -> Totals:
+    return Totals(decoder.up, decoder.down, decoder.net, decoder.illegal, decoder.edges)
 
 
 def _split_pair(channels: str) -> tuple[str, str]:

@@ -8,7 +8,6 @@ capture becomes the run that a board sampling at ``rate_hz`` would have sent: 16
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -78,8 +77,8 @@ def _recount_belt(run: Recording) -> Recording:
         return replace(run, belt_count=None, belt_velocity=None)
     starts = np.flatnonzero(np.diff(run.segment.astype(np.int64), prepend=-1))
     count = belt_counter.unwrap_count(run.raw.belt_count, run.rig.counter_bits, starts)
-    velocity = belt_counter.compute_velocity(count, run.time, starts, run.rate_hz, pitch.value)
-    return replace(run, belt_count=count, belt_velocity=velocity)
+    velocity = belt_counter.yield_velocities(count, run.time, starts, run.rate_hz, pitch.value)
+    return replace(run, belt_count=count, belt_velocity=np.concatenate([*velocity]))
 
 
 def count_faults(run: Recording) -> dict[str, int]:
@@ -94,15 +93,12 @@ def count_faults(run: Recording) -> dict[str, int]:
 
 
 def _recount(raw: Raw, segment: NDArray[np.unsignedinteger], bits: int, sent_as: SentAs | None) -> NDArray[np.int64]:
-    count = np.empty(segment.size, np.int64)
-    edges = np.flatnonzero(np.diff(segment.astype(np.int64), prepend=-1))
-    for first, last in pairwise([*edges.tolist(), segment.size]):
-        part, counts_per_count = slice(first, last), 1
-        if sent_as is not None:
-            identification = int(np.searchsorted(sent_as.segment, segment[first], side="right")) - 1
-            bits, counts_per_count = int(sent_as.counter_bits[identification]), int(sent_as.counts[identification])
-        count[part] = counters.net_count(raw.count_up[part], raw.count_down[part], bits) * counts_per_count
-    return count
+    begins = np.diff(segment.astype(np.int64), prepend=-1) != 0
+    widths, scale = np.full(segment.size, bits), np.ones(segment.size, np.int64)
+    if sent_as is not None:
+        ident = np.searchsorted(sent_as.segment, segment, side="right") - 1
+        widths, scale = (column[ident].astype(np.int64) for column in (sent_as.counter_bits, sent_as.counts))
+    return counters.net_count(raw.count_up, raw.count_down, begins, widths, scale)
 
 
 @dataclass

@@ -36,12 +36,6 @@ _STAMP, STAMP_BYTES = re.compile(r"[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{3} -> "), 1
 
 
 @dataclass(frozen=True)
-class Skipped:
-    line: int
-    what: str
-
-
-@dataclass(frozen=True)
 class Table:
     """The cells of a table, not yet numbers."""
 
@@ -105,13 +99,13 @@ class Table:
 
     def columns(
         self, readers: Sequence[ColumnReader], *, skip: bool, progress: Stages = silent
-    ) -> "tuple[Array, Table, tuple[Skipped, ...]]":
+    ) -> "tuple[Array, Table, tuple[int, ...]]":
         """Return columns as numbers, their lines (a table without cells), and lines left out, which ``skip`` allows."""
         values = np.empty((len(readers), len(self.rows)))
         filled = 0
         good = np.ones(len(self.rows), np.bool_)
-        bad: list[Skipped] = []
-        first: int | None = None
+        bad: list[int] = []
+        problem: tuple[str, int | None] = "", None  # of the first bad line, and its column
         for begin in range(0, len(self.rows), TOGETHER):
             progress("reading numbers", begin, len(self.rows))
             rows = list(self.rows[begin : begin + TOGETHER])
@@ -123,16 +117,17 @@ class Table:
             for index, row in enumerate(rows, start=begin):
                 cells, what, column = self._read_row(row, readers)
                 if what:
-                    first = column if not bad else first
-                    bad.append(Skipped(int(self.lines[index]), what))
+                    problem = problem if bad else (what, column)
+                    bad.append(int(self.lines[index]))
                     good[index] = False
                 else:
                     values[:, filled] = cells
                     filled += 1
         if bad and not skip:
             do, python = _advise(self, bad, good)
-            several = f"; {len(bad)} lines cannot be read: {list_lines(skipped.line for skipped in bad)}"
-            raise InputError(bad[0].what + several * (len(bad) > 1), self.locate(bad[0].line, first), do, python=python)
+            what, column = problem
+            several = f"; {len(bad)} lines cannot be read: {list_lines(bad)}"
+            raise InputError(what + several * (len(bad) > 1), self.locate(bad[0], column), do, python=python)
         return values[:, :filled], replace(self, rows=(), lines=self.lines[good]), tuple(bad)
 
     def take(self, which: slice) -> "Table":
@@ -169,12 +164,12 @@ def list_lines(lines: Iterable[int]) -> str:
     return source.shorten(map(str, lines), LISTED)
 
 
-def _advise(cells: Table, bad: Sequence[Skipped], good: Mask) -> tuple[str, str]:
+def _advise(cells: Table, bad: Sequence[int], good: Mask) -> tuple[str, str]:
     """Return what to do, for a terminal and in Python."""
     what = "those lines" if len(bad) > 1 else "that line"
     do = f"correct or delete {what}, or skip such lines with {{}}: times need not be evenly spaced"
     if good.any() and len(bad) == int(good.argmax()) and not cells.names:
-        do += f"; if the table begins below, give --preamble {bad[-1].line}"
+        do += f"; if the table begins below, give --preamble {bad[-1]}"
     return do.format("--skip-bad"), in_python(do.format("skip_bad=True"))
 
 

@@ -94,7 +94,7 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     values, cells, skipped = _read_numbers(cells, columns, options, progress)
     if skipped:
         share = 100 * len(skipped) / (len(skipped) + len(cells.lines))
-        lines = table.list_lines(line.line for line in skipped)
+        lines = table.list_lines(skipped)
         warnings.append(f"{len(skipped)} lines ({share:.2g} %) could not be read and were skipped: {lines}")
     if cells.beside:
         count_of = f"{len(cells.beside)} line{'s' if len(cells.beside) > 1 else ''}"
@@ -183,7 +183,7 @@ def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
 
 def _read_numbers(
     cells: table.Table, columns: Columns, options: ImportOptions, progress: Stages
-) -> tuple[Array, table.Table, tuple[table.Skipped, ...]]:
+) -> tuple[Array, table.Table, tuple[int, ...]]:
     """Return positions, times if any, and the belt if any, as `daq.imports.table.Table.columns` does."""
     readers: list[table.ColumnReader] = [(columns.position, cells.number, "a number")]
     if columns.time is not None:
@@ -426,7 +426,7 @@ def _complete_run(
     run: Recording,
     cells: table.Table,
     columns: dict[str, str],
-    skipped: Sequence[table.Skipped],
+    skipped: Sequence[int],
 ) -> Recording:
     if options.started is None:
         start = datetime.fromtimestamp(cells.modified_s, UTC).replace(microsecond=0)
@@ -440,7 +440,7 @@ def _complete_run(
     if cells.recorded:
         lines.append(f"recorded = {quote(cells.recorded)}")
     if skipped:
-        lines.append(f"skipped_lines = {[line.line for line in skipped]}")
+        lines.append(f"skipped_lines = {[*skipped]}")
     try:
         end = start + timedelta(seconds=float(run.time[-1]))
         end.timestamp()

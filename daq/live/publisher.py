@@ -397,16 +397,9 @@ class FinishedRun(Publisher):
             "started": run.started,
             "unit": run.unit,
             "counted": run.raw is not None,
-            "markers": [{"t": float(times[sample]), "text": label} for sample, label in self._find_markers()],
+            "markers": [{"t": time, "text": label} for time, label in run.list_markers(times)],
             **self._all_members(),
         }
-
-    def _find_markers(self) -> list[tuple[int, str]]:
-        run = self.samples.header
-        events = zip(run.event_sample.tolist(), run.event_kind, run.event_note, strict=True)
-        return [
-            (sample, label) for sample, kind, label in events if kind == "marker" and sample < self.samples.times.size
-        ]
 
     def _load_stretch(self, begin: float, end: float) -> LiveMotion | None:
         try:

@@ -50,18 +50,6 @@ def unwrap_count(values: NDArray[np.integer], bits: int, starts: NDArray[np.int6
     return BeltCount().take(values, begins, np.full(len(values), bits))
 
 
-def compute_velocity(
-    count: NDArray[np.int64],
-    time: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    rate_hz: float,
-    metres_per_count: float,
-) -> NDArray[np.float64]:
-    """Return the belt's mean speed over `SPAN_S` around each sample, m/s, shorter at the ends of a segment, (n,)."""
-    pieces = list(yield_velocities(count, time, starts, rate_hz, metres_per_count))
-    return np.concatenate([np.zeros(0), *pieces])
-
-
 def yield_velocities(
     count: NDArray[np.int64],
     time: NDArray[np.float64],
@@ -69,7 +57,10 @@ def yield_velocities(
     rate_hz: float,
     metres_per_count: float,
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the speeds of `compute_velocity` piece by piece; count and time may be `daq.runfile.spill.Column`."""
+    """Yield the belt's mean speed over `SPAN_S` around each sample, m/s, shorter at the ends of a segment, in pieces.
+
+    ``count`` and ``time`` may be `daq.runfile.spill.Column`.
+    """
     half = max(1, round(SPAN_S * rate_hz / 2))
     for first, last in pairwise([*starts.tolist(), len(count)]):
         if last - first < 2:

@@ -100,7 +100,7 @@ def add_belt(run: Made, belt: Array) -> Made:
     """Return a run with positions of its belt, (n,) m, as counts of their last decimal: of their own rounding."""
     pitch = find_last_decimal(belt)
     count = np.rint(belt / pitch).astype(np.int64)
-    speed = belt_counter.compute_velocity(count, run.time, np.array([0]), run.rate_hz, pitch)
+    speed = np.concatenate([*belt_counter.yield_velocities(count, run.time, np.array([0]), run.rate_hz, pitch)])
     rig = replace(run.rig, belt_metres_per_count=Measured(pitch))
     return replace(run, rig=rig, belt_count=count, belt_velocity=speed, config_toml=rig.to_toml())
 

@@ -41,7 +41,6 @@ from daq.runfile.journal_records import (
     RECEIVED,
     REOPENED,
     Content,
-    Place,
     Record,
 )
 from daq.runfile.regular import open_regular
@@ -252,10 +251,10 @@ def read_header(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
     with _open(path) as file:
         content = Content(file.read(2 * HEADER_EVERY))
-    header_record = journal_records.header(content, journal_records.scan(content))
-    if journal_records.wrong_in_magic(content) is None or header_record is None:
+    header = journal_records.find_header(journal_records.scan(content))
+    if journal_records.wrong_in_magic(content) is None or header is None:
         raise InputError("is not a journal of daq", str(path), "give the RUN.h5.part that a recording writes")
-    return journal_header.parse(header_record.data, path)
+    return journal_header.parse(header.data, path)
 
 
 def read(path: Path) -> Journal:
@@ -279,20 +278,19 @@ def _read(path: Path, content: Content) -> Journal:
     if damaged is None:
         raise InputError("is not a journal of daq", str(path), "give the .part file that the recording left")
     places, kinds, received = array("q"), bytearray(), 0
-    marks: list[Place] = []  # the first record that holds, and the first header
+    header: Record | None = None
     whole = len(MAGIC)
     for place in journal_records.scan(content):
         kind = place.record.kind
         damaged += place.at - whole + (0 if place.holds else place.record.size)
         whole = place.at + place.record.size
         received += kind == RECEIVED
-        if (place.holds and not marks) or (kind == HEADER and all(mark.record.kind != HEADER for mark in marks)):
-            marks.append(place)
+        if kind == HEADER:
+            header = header or place.record
         # What begins right behind the magic line is the header, whatever its damage makes of it.
         if kind != HEADER and place.at > len(MAGIC):
             places.append(place.at)
             kinds.append(kind)
-    header = journal_records.header(content, marks)
     if header is None:
         raise _make_header_error(path, len(content), received)
     tail = len(content) - whole

@@ -4,8 +4,7 @@ A record is ``kind u8, length u32, stamp i64`` (host's monotonic clock, ns), its
 little endian.  After a record that does not hold a reader goes on at the next place where a whole record holds.  Bytes
 received are kept when the CRC of their record fails but its length is right: its frames have their own CRCs.
 
-The header is written again and again, because nothing can be read without it.  Journals of version 0.1.0 hold it once:
-there one wrong byte is corrected by means of the CRC.
+The header is written again and again, because nothing can be read without it; journals of version 0.1.0 hold it once.
 
 A journal is read through a `Content`: a window of its file at a time, and at a cost that is linear in its length even
 where every byte of it claims to begin a long record.
@@ -26,7 +25,6 @@ _KIND = re.compile(b"[HRLODCE]")
 _HEAD = struct.Struct("<BIq")
 _CRC = struct.Struct("<I")
 _LONGEST = 1 << 26  # bytes; no record is longer, so a longer length is damage
-_LONGEST_HEADER = 1 << 16  # bytes in which a wrong byte is looked for; a header has 1 to 2 kB
 _WINDOW = 1 << 20  # bytes of the file in memory; half and double read as fast
 # Bytes from one sum of a `Content` to the next: half takes twice the memory (4 bytes each), double costs 1 us more for
 # each range between two of them.
@@ -148,17 +146,9 @@ def _find_next(content: Content, begin: int) -> int | None:
     return None
 
 
-def header(content: Content, places: Iterable[Place]) -> Record | None:
-    """Return a journal's header: the first copy whose CRC holds, or a single copy in which one byte was wrong."""
-    following = len(content)
-    for place in places:
-        if place.record.kind == HEADER:
-            return place.record
-        if place.holds:
-            following = min(following, place.at)
-    if following > _HEAD.size + _LONGEST_HEADER:
-        return None
-    return _correct_byte(content[len(MAGIC) : following])
+def find_header(places: Iterable[Place]) -> Record | None:
+    """Return a journal's header: the first copy whose CRC holds."""
+    return next((place.record for place in places if place.record.kind == HEADER), None)
 
 
 def is_cut_short(content: Content, offset: int) -> bool:
@@ -193,33 +183,6 @@ def read_record(content: Content, offset: int, *, whole: bool = True) -> Record 
 def _is_record(content: Content, offset: int) -> bool:
     head = content.head(offset)
     return head is not None and content.holds(offset, offset + _HEAD.size + head[1])
-
-
-def _correct_byte(damaged: bytes) -> Record | None:
-    """Return the header with one wrong byte corrected, by running the CRC's register, which is linear, backwards."""
-    end = len(damaged) - _CRC.size
-    if not _HEAD.size <= end <= _LONGEST_HEADER:
-        return None
-    text, error = damaged[:end], crc32(damaged[:end]) ^ _CRC.unpack_from(damaged, end)[0]
-    if any(error & ~(0xFF << shift) == 0 for shift in (0, 8, 16, 24)):
-        return _as_header(text)  # the wrong byte is one of the CRC itself
-    table = [_shift_byte(byte) for byte in range(256)]
-    from_top = {value >> 24: byte for byte, value in enumerate(table)}
-    single = {value: byte for byte, value in enumerate(table)}
-    for offset in reversed(range(end)):
-        if error in single:
-            return _as_header(text[:offset] + bytes([text[offset] ^ single[error]]) + text[offset + 1 :])
-        byte = from_top[error >> 24]
-        error = ((error ^ table[byte]) << 8 | byte) & 0xFFFFFFFF
-    return None
-
-
-def _as_header(text: bytes) -> Record | None:
-    """Return the record of these bytes, its CRC left out; None where they are not a header."""
-    record = read_record(Content(text + _CRC.pack(crc32(text))), 0)
-    if record is None or record.kind != HEADER or record.size != len(text) + _CRC.size:
-        return None
-    return record
 
 
 def _shift_byte(register: int) -> int:

@@ -225,9 +225,13 @@ class Recording(RunData):
     @property
     def markers(self) -> tuple[tuple[float, str], ...]:
         """The markers that a person set: time, s, and words."""
+        return self.list_markers(self.time)
+
+    def list_markers(self, time: NDArray[np.float64]) -> tuple[tuple[float, str], ...]:
+        """Return `markers` by the times of all samples, of a run of which some were loaded."""
         events = zip(self.event_sample, self.event_kind, self.event_note, strict=True)
         marks = ((int(sample), words) for sample, kind, words in events if kind == "marker")
-        return tuple((float(self.time[sample]), words) for sample, words in marks if sample < self.time.size)
+        return tuple((float(time[sample]), words) for sample, words in marks if sample < time.size)
 
     def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw position against time, with the markers that a person set.

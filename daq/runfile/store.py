@@ -23,26 +23,10 @@ from daq.runfile.recording import Recording
 from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import Raw, SentAs, Truth, explain_impossible
-from daq.runfile.write import write
+from daq.runfile.write import write as write
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 from stickslip.output import atomic, disk
-
-__all__ = [
-    "RunReader",
-    "annotate",
-    "count_samples",
-    "extend",
-    "is_same_run",
-    "load",
-    "open_reader",
-    "open_run",
-    "read_back",
-    "read_times",
-    "select_between",
-    "truth",
-    "write",
-]
 
 STRETCH = 1 << 18  # samples that are read back at a time: some 20 MB
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.

@@ -55,7 +55,7 @@ def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
     periods = np.concatenate(
         [np.empty(0)]
         + [
-            np.full(int(stream.n[first:end].sum()), 1e9 / (rate_hz * (1000 if ident is None else ident.tick_ns)))
+            np.full(int(stream.n[first:end].sum()), 1e9 / (rate_hz * (TICK_NS if ident is None else ident.tick_ns)))
             for first, end, ident in stream.split_by_ident()
         ]
     )
@@ -84,7 +84,6 @@ def cut_at_leaps(stream: decode.Stream, rate_hz: float) -> decode.Stream:
         dt=dt,
         idents=new_frame[stream.idents],
         crc_frame=new_frame[stream.crc_frame],
-        truth_frame=new_frame[stream.truth_frame],
         part_frame=new_frame[stream.part_frame],
         configs=tuple((int(new_frame[at]), text) for at, text in stream.configs),
         notices=tuple((int(new_frame[at]), text) for at, text in stream.notices),
@@ -122,9 +121,10 @@ def _replace_ident(ident: wire.Ident) -> wire.Ident:
 
 @dataclass(frozen=True)
 class CountUnits:
-    """The units of counts under each of k identifications."""
+    """The units of counts and times under each of k identifications."""
 
     bits: NDArray[np.int64]  # (k,) width of the counters
+    tick_ns: NDArray[np.int64]  # (k,) tick of the board's clock
     scale: NDArray[np.int64]  # (k,) counts of the run in one count of the board
     edges: NDArray[np.int64]  # (k,) edges in one count of the board
     # (k,) whether counts can be compared with the levels sent with them; whether illegal transitions are counted
@@ -133,22 +133,17 @@ class CountUnits:
 
 
 def find_units(idents: Sequence[wire.Ident | None], rig: Rig) -> CountUnits:
-    """Return the units of counts under each identification, in a run of this calibration (`unify_calibration`)."""
+    """Return the units under each identification, in a run of this calibration (`unify_calibration`)."""
     decoders = [rig.decoder if ident is None else ident.decoder for ident in idents]
     capabilities_of = [wire.Capability(0) if ident is None else ident.capabilities for ident in idents]
     finest = EDGES_PER_COUNT.get(rig.decoder, 1)
     edges = np.array([EDGES_PER_COUNT.get(decoder, 1) for decoder in decoders], dtype=np.int64)
     return CountUnits(
         bits=np.array([rig.counter_bits if ident is None else ident.counter_bits for ident in idents], dtype=np.int64),
+        tick_ns=np.array([TICK_NS if ident is None else ident.tick_ns for ident in idents], dtype=np.int64),
         scale=np.maximum(edges // finest, 1),
         edges=edges,
-        phase=np.array(
-            [
-                each == "x4" and wire.Capability.LEVELS in capabilities
-                for each, capabilities in zip(decoders, capabilities_of, strict=True)
-            ],
-            dtype=np.bool_,
-        ),
+        phase=np.array([wire.Capability.LEVELS in each for each in capabilities_of]) & (np.array(decoders) == "x4"),
         illegal=np.array([wire.Capability.ILLEGAL in each for each in capabilities_of], dtype=np.bool_),
     )
 

@@ -139,7 +139,6 @@ class CountCheck:
         surveyed_s = survey.find_safe_gap_s(rig, self._units.edges, self.peak_count_rate)
         self._safe_s = surveyed_s if safe_gap_s is None else safe_gap_s
         self._offsets = survey.find_offsets(self._safe_s) if self._units.phase.any() else None
-        self._ticks_ns = np.array([1000 if ident is None else ident.tick_ns for ident in survey.idents])
         self._last: Samples | None = None
         self._n_taken = self._count = self._segments = self._illegal_rise = 0
 
@@ -157,11 +156,8 @@ class CountCheck:
             flags = np.zeros(0, dtype=np.uint16)
             return CheckedCounts(make_empty(), flags, flags, make_empty(), peak_count_rate=self.peak_count_rate)
         self._last = window.take(np.arange(n) == n - 1)
-        first = counters.wrap_signed(window.up.astype(np.int64) - window.down, bits) * scale
-        if new.start:
-            begins[0], first[0] = True, count_before
-        ups, downs = (counters.diff_unsigned(column, bits[1:]) for column in (window.up, window.down))
-        count = counters.running_sum(begins, (ups - downs) * scale[1:], first)
+        begins[: new.start] = True
+        count = counters.net_count(window.up, window.down, begins, bits, scale, count_before if new.start else None)
         segment = segments + np.cumsum(begins) - 1
         flags = (window.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
         flags[lost > 0] |= counters.FLAG_GAP
@@ -193,7 +189,7 @@ class CountCheck:
             "invalid" if invalid[new][s] else samples.begun_by[samples.part[s]] for s in starts
         )
         self._n_taken += len(samples)
-        tick_s = _expand(self._ticks_ns, window) / 1e9
+        tick_s = _expand(self._units.tick_ns, window) / 1e9
         leap_s = np.diff(window.ticks, prepend=window.ticks[:1]) * tick_s - interval
         leap_s[continuity.begins != _LEAP] = 0.0
         paused = np.flatnonzero(continuity.begins[new] == _PAUSE)

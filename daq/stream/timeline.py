@@ -20,7 +20,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runfile.spill import Shelf, Spill
 from daq.wire import counters, decode, frames
 from stickslip.compute import arrays
 
@@ -29,7 +28,7 @@ PLACE_S = 2.0
 # A board's clock that advanced across a jump as the host's did, to within so much (a busy computer's), was not reset.
 SAME_CLOCK_S = 0.1
 
-OPTIONAL = ("belt", "edge", "time_error")  # columns that a board need not send
+OPTIONAL = ("belt", "edge", "time_error", "truth")  # columns that a board need not send
 
 PartReason = Literal["reopened", "restarted", "jumped", "clock", "paused"]
 
@@ -62,6 +61,7 @@ class Samples:
     edge: NDArray[np.uint16] | None
     # (n,) the time as sent less ``ticks``; None where no time is interpolated
     time_error: NDArray[np.int64] | None = None
+    truth: NDArray[np.float64] | None = None  # (n, 4) the exact motion (`daq.wire.decode.Stream`)
     # (n,) number of its identification in `Timeline.idents`
     source: NDArray[np.int64] = field(default_factory=make_empty)
     # (n,) sample periods from the start of the run, lost samples and gaps included
@@ -73,14 +73,6 @@ class Samples:
     def take(self, where: NDArray[np.bool_]) -> "Samples":
         """Return the samples for which ``where``, (n,), is True."""
         return arrays.rows(self, where)
-
-
-@dataclass(frozen=True)
-class TruthRows:
-    """Rows of the exact motion as sent: `sample_keys` of their samples, (m,); time, x, v, F in s, m, m/s, N, (m, 4)."""
-
-    key: NDArray[np.int64]
-    rows: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -153,7 +145,6 @@ class Timeline:
     rate_hz: Nominal rate, Hz.
     tick_ns: Tick of the clock of a device that has not identified itself, ns.
     most: Sample periods from the start of the run after which samples are dropped.
-    spill: Storage of the rows of the exact motion.
 
     Of the pieces so far:
 
@@ -161,7 +152,6 @@ class Timeline:
         board did not identify itself.
     ident: The board's first identification.
     configs: The calibrations that the boards sent.
-    truth: The exact motion.
     times_bytes: Whether the recorder knows the length of the frames on the line.
     repeated: Samples left out because their time did not advance: repeated, late, or stamped wrongly by the board.
     missing: Optional columns that not all frames have.
@@ -174,9 +164,7 @@ class Timeline:
         rate_hz: float,
         tick_ns: int,
         most: int | None = None,
-        spill: Spill | None = None,
     ) -> None:
-        self.truth: Shelf[TruthRows] = Shelf(spill or Spill())
         self.times_bytes = False
         self.repeated = 0
         self.idents: list[frames.Ident | None] = []
@@ -249,7 +237,7 @@ class Timeline:
         before = 0
         last_part = -1
         for connection in self._connections:
-            last_frame: _LastFrame | None = None
+            begun = False  # a frame of the connection has come
             order, ident_number = counters.FrameOrder(1.0), -1
             for stream in connection:
                 self._note_stream(stream)
@@ -265,19 +253,17 @@ class Timeline:
                     within = (stream.idents >= first) & ((stream.idents < end) | (end == len(stream.n)))
                     sent = stream.seq[first:end], stream.ticks[first:end], stream.n[first:end]
                     placed_frames.append(order.place(*sent, stream.idents[within] - first))
-                    if new_source and (first or last_frame is not None):
+                    if new_source and (first or begun):
                         placed_frames[-1].restart[0] = True
                 placed = arrays.joined(placed_frames)
-                if last_frame is None and len(stream.n):
+                if not begun and len(stream.n):
+                    begun = True
                     last_part += 1
                     self._begun_by.append("reopened")
                 begins = placed.restart | placed.leap
                 part = last_part + np.cumsum(begins)
                 for leap, jump in zip(placed.leap[begins].tolist(), placed.jump[begins].tolist(), strict=True):
                     self._begun_by.append("clock" if leap else "jumped" if jump else "restarted")
-                truth, last_frame = _place_truth(stream, placed, part, last_frame)
-                if len(truth.key):
-                    self.truth.append(truth)
                 yield self._build_samples(stream, placed, part, source, before), stream, before
                 before += len(stream.n)
                 last_part = int(part[-1]) if len(part) else last_part
@@ -327,6 +313,7 @@ class Timeline:
             belt=stream.belt,
             edge=stream.edge,
             time_error=None if stream.time_error is None else stream.time_error[frame],
+            truth=stream.truth,
             source=source[frame],
             place=index.copy(),
         )
@@ -368,16 +355,6 @@ class Timeline:
 _OrderedPiece = tuple[Samples, decode.Stream, int]
 
 
-@dataclass(frozen=True)
-class _LastFrame:
-    """The last frame before a piece, to which the truth at its beginning belongs."""
-
-    seq: int
-    index: int
-    part: int
-    keep: bool
-
-
 def split_parts(samples: Samples) -> Iterator[tuple[int, slice]]:
     """Yield each part's number and the slice of its samples."""
     cuts = np.flatnonzero(np.diff(samples.part)) + 1
@@ -396,31 +373,3 @@ def join(pieces: Sequence[Samples]) -> Samples:
 def drop_columns(samples: Samples, names: Iterable[str]) -> Samples:
     none: dict[str, Any] = dict.fromkeys(names)
     return replace(samples, **none)
-
-
-def sample_keys(part: NDArray[np.int64], index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return one number for part and index: parts are few, and an index stays far below 2^48."""
-    return np.asarray(part << 48 | index)
-
-
-def _place_truth(
-    stream: decode.Stream, order: counters.Order, part: NDArray[np.int64], last_frame: _LastFrame | None
-) -> tuple[TruthRows, _LastFrame | None]:
-    """Return the rows of the exact motion, each placed by the sample frame before it; and the piece's last frame."""
-    seq, index, keep = stream.seq, order.index, order.keep
-    frame = stream.truth_frame
-    if last_frame is not None:
-        seq, index, part = (
-            np.concatenate(([first], rest))
-            for first, rest in ((last_frame.seq, seq), (last_frame.index, index), (last_frame.part, part))
-        )
-        keep = np.concatenate(([last_frame.keep], keep))
-        frame = frame + 1
-    last_of_piece = (
-        last_frame if len(seq) == 0 else _LastFrame(int(seq[-1]), int(index[-1]), int(part[-1]), bool(keep[-1]))
-    )
-    before_row = np.clip(frame - 1, 0, None) if len(seq) else frame[:0]
-    offset = counters.wrap_signed(stream.truth_seq[: len(before_row)] - seq[before_row], 16)
-    placed = keep[before_row]
-    key = sample_keys(part[before_row][placed], (index[before_row] + offset)[placed])
-    return TruthRows(key, stream.truth[: len(before_row)][placed]), last_of_piece

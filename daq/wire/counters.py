@@ -62,27 +62,25 @@ def diff_signed(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> N
     return wrap_signed(diff_unsigned(values, bits), bits)
 
 
-def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
-    """Return an up-counter's readings, counts, without roll-over, (n,), starting at its first reading."""
-    out = np.empty(len(values), dtype=np.int64)
-    if len(values):
-        out[0] = int(values[0])
-        np.cumsum(diff_unsigned(values, bits), out=out[1:])
-        out[1:] += out[0]
-    return out
+def net_count(
+    up: NDArray[np.unsignedinteger],
+    down: NDArray[np.unsignedinteger],
+    begins: NDArray[np.bool_],
+    bits: NDArray[np.int64],
+    scale: NDArray[np.int64],
+    before: int | None = None,
+) -> NDArray[np.int64]:
+    """Return the net count up - down without roll-over, (n,), n at least 1; each segment, where it ``begins``, anew.
 
-
-def net_count(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], bits: int) -> NDArray[np.int64]:
-    """Return the unwrapped net count up - down of one segment, (n,).
-
-    The first value is the signed difference, which is correct if the counters have moved by less than half their range
-    since power-up, net; otherwise it is off by a multiple of 2^bits.
+    Its first value is the signed difference, which is correct if the counters have moved by less than half their range
+    since power-up, net; otherwise it is off by a multiple of 2^bits.  The first value of all is ``before``, if given.
+    ``bits`` is the counters' width, and ``scale`` what one of their counts is, of each sample.
     """
-    if len(up) == 0:
-        return np.empty(0, dtype=np.int64)
-    first_net = wrap_signed(int(up[0]) - int(down[0]), bits)
-    net = unwrap(up, bits) - unwrap(down, bits)
-    return np.asarray(net - net[0] + first_net, dtype=np.int64)
+    first = wrap_signed(up.astype(np.int64) - down, bits) * scale
+    if before is not None:
+        begins, first[0] = np.concatenate(([True], begins[1:])), before
+    steps = diff_unsigned(up, bits[1:]) - diff_unsigned(down, bits[1:])
+    return running_sum(begins, steps * scale[1:], first)
 
 
 def longest_gap_s(max_edge_rate_hz: float, edges_per_count: int, bits: int) -> float:

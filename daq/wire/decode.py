@@ -53,10 +53,8 @@ class Stream:
     unknown: int = 0
     # (f,) the time as sent less ``ticks``: not 0 where it was wrong and has been interpolated; None: as sent
     time_error: NDArray[np.int64] | None = None
-    # (m,) sequence number as sent of each row of truth, and the frame after it
-    truth_seq: NDArray[np.int64] = field(default_factory=_empty)
-    truth_frame: NDArray[np.int64] = field(default_factory=_empty)
-    truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))  # (m, 4) time, x, v, F
+    # (n, 4) exact time, x, v, F of each sample, NaN where it was not sent; None of boards that never send it
+    truth: NDArray[np.float64] | None = None
     # (p,) reads that ended inside a frame: stamp, frame, and how many of its bytes had arrived
     part_stamp_ns: NDArray[np.int64] = field(default_factory=_empty)
     part_frame: NDArray[np.int64] = field(default_factory=_empty)
@@ -114,27 +112,26 @@ def decode_pieces(
     recorder requested, also of a board that had restarted.  A read that ends inside a frame belongs to the piece of
     that frame; an identification after a piece's last frame to the first frame of the next piece.
 
-    If there is more than one piece, ``reads`` is iterated over twice and must yield the same.
+    If the first piece has no identification, ``reads`` is iterated over twice and must yield the same.
     """
     source = _read_lines(reads, most_bytes)
     first_lines = next(source)
-    governing = _Governing()
-    governing.take(first_lines)
-    read_on = False
-    if governing.decided:
-        source = chain([first_lines], source)
+    earliest = _find_ident([first_lines])
+    if earliest is None and (second_lines := next(source, None)) is not None:
+        earliest = _find_ident(chain([second_lines], source))
+        source = _read_lines(reads, most_bytes)
     else:
-        for lines in source:
-            read_on = True
-            governing.take(lines)
-            if governing.decided:
-                break
-        source = _read_lines(reads, most_bytes) if read_on else iter([first_lines])
+        source = chain([first_lines], source)
     first = True
-    tracker = _IdentTracker(governing, decoder)
+    tracker = _IdentTracker(earliest, decoder)
     for lines in source:
         yield _build_stream(lines, *tracker.take(lines), first)
         first = first and not lines.bodies
+
+
+def _find_ident(pieces: Iterable[_Lines]) -> wire.Ident | None:
+    """Return the first identification: what was sent before it is read by it."""
+    return next((frame for lines in pieces for _, frame in lines.others if isinstance(frame, wire.Ident)), None)
 
 
 def _read_lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[_Lines]:
@@ -161,13 +158,19 @@ def _read_lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterat
             if splitter.pending_bytes and begin + len(data) == len(read):
                 parts.append((stamp, len(bodies), splitter.pending_bytes))
             bytes_taken += len(data)
-            if bytes_taken >= most_bytes:
+            if bytes_taken >= most_bytes and not _awaits_truth(bodies):
                 carried = [(stamp_ns, 0, count) for stamp_ns, line, count in parts if line == len(bodies)]
                 parts = [part for part in parts if part[1] < len(bodies)]
                 yield pack()
                 bytes_taken = 0
                 bodies, length, ends, parts = [], array("q"), [], carried
     yield pack()
+
+
+def _awaits_truth(bodies: list[bytes]) -> bool:
+    """Return whether the exact motion of the last frame, sent after it, may be still to come."""
+    kinds = [body[:1] for body in bodies]
+    return kinds[-1:] == [b"S"] and b"T" in kinds
 
 
 def _build_stream(
@@ -210,9 +213,15 @@ def _build_stream(
     if first_piece:
         damaged = damaged[damaged > 0]  # the first line's beginning may be missing
 
-    truths = [(line, frame) for line, frame in others if isinstance(frame, wire.TruthFrame)]
-    truth_n = [len(frame.rows) for _, frame in truths]
-    truth_seq = [seq & 0xFFFF for _, frame in truths for seq in range(frame.seq, frame.seq + len(frame.rows))]
+    sends_truth = [
+        wire.Capability.TRUTH in each.capabilities for _, each in [(0, ident), *identified] if each is not None
+    ]
+    truth = np.full((len(rows), 4), np.nan) if any(sends_truth) else None
+    for line, frame in others:
+        k = int(before[line]) - 1  # the frame with samples before it
+        if truth is not None and isinstance(frame, wire.TruthFrame) and k >= 0:
+            if (heads["seq"][k], n[k]) == (frame.seq, len(frame.rows)):
+                truth[first[k] : first[k] + n[k]] = frame.rows
     part_ns, part_line, part_bytes = np.array(lines.parts, dtype=np.int64).reshape(-1, 3).T
     inside = np.isin(part_line, frame_line)
     # Of boards that differ, what all of them send.
@@ -226,7 +235,7 @@ def _build_stream(
         illegal=heads["illegal"].astype(np.int64),
         stamp_ns=np.repeat(*np.array(lines.ends, dtype=np.int64).reshape(-1, 2).T)[frame_line],
         **columns,
-        ident=ident,
+        ident=next((each for line, each in reversed(identified) if not before[line]), ident),
         idents=before[np.array([line for line, _ in identified], dtype=np.int64)],
         identified=tuple(each_ident for _, each_ident in identified),
         configs=tuple(
@@ -235,9 +244,7 @@ def _build_stream(
         notices=tuple(
             (int(before[line]), printable(frame.text)) for line, frame in others if isinstance(frame, wire.Notice)
         ),
-        truth_seq=np.array(truth_seq, dtype=np.int64),
-        truth_frame=np.repeat(before[np.array([line for line, _ in truths], dtype=np.int64)], truth_n),
-        truth=np.array([row for _, frame in truths for row in frame.rows], dtype=np.float64).reshape(-1, 4),
+        truth=truth,
         crc_frame=before[damaged],
         crc_errors=len(damaged),
         unknown=len(unknown),
@@ -312,48 +319,18 @@ def _fits_layout(size: int, n: int, row: np.dtype[np.void]) -> bool:
     return n > 0 and size == wire.SAMPLES_HEADER + n * row.itemsize
 
 
-class _Governing:
-    """Finds the last identification before the first sample frame: the decoder may have been set in between.
-
-    ident: The last one in the lines so far.
-    number: How many identifications there are up to that one.
-    decided: No later line can change it.
-    """
-
-    def __init__(self) -> None:
-        self.ident: wire.Ident | None = None
-        self.number = 0
-        self.decided = False
-        self._seen: set[tuple[int, int]] = set()  # bytes and samples of frames in the pieces before
-
-    def take(self, lines: _Lines) -> None:
-        for line, frame in lines.others:
-            if not isinstance(frame, wire.Ident):
-                continue
-            before_ident = {key for key, (line_numbers, _) in lines.samples.items() if line_numbers[0] < line}
-            if self._any_fits(self._seen | before_ident):
-                break
-            self.ident = frame
-            self.number += 1
-        self._seen |= set(lines.samples)
-        self.decided = self._any_fits(self._seen)
-
-    def _any_fits(self, seen: set[tuple[int, int]]) -> bool:
-        return self.ident is not None and any(_fits_layout(*key, _sample_layout(self.ident)) for key in seen)
-
-
 class _IdentTracker:
-    """The identification in force: the governing one, then each later one from its line on.
+    """The identification in force: the first one from the beginning, then each later one from its line on.
 
     A board that has restarted sends an identification, then the recorder sets the decoder of this run.  It requests an
     identification again; if there is none (older recorders did not request it), the requested decoder applies.
     """
 
-    def __init__(self, governing: _Governing, decoder: str | None) -> None:
-        self._ident = governing.ident
-        self._to_skip = governing.number  # identifications to come that the governing one replaces
+    def __init__(self, earliest: wire.Ident | None, decoder: str | None) -> None:
+        self._ident = earliest
         self._decoder = decoder
-        self._sampled = True  # since the last identification
+        self._first = True  # no identification has come
+        self._sampled = False  # since the last identification
 
     def take(self, lines: _Lines) -> tuple[wire.Ident | None, list[tuple[int, wire.Ident]]]:
         """Return the identification before the next lines, and the one in force after each line that has one."""
@@ -364,13 +341,9 @@ class _IdentTracker:
             if not isinstance(frame, wire.Ident):
                 continue
             self._sampled |= bool(np.searchsorted(sampled, last) < np.searchsorted(sampled, line))
-            if self._to_skip and self._ident is not None:
-                self._to_skip -= 1
-            elif self._decoder is not None and self._sampled:
-                self._ident = replace(frame, decoder=self._decoder)
-            else:
-                self._ident = frame
+            restarted = self._sampled and not self._first
+            self._ident = frame if self._decoder is None or not restarted else replace(frame, decoder=self._decoder)
             changes.append((line, self._ident))
-            self._sampled, last = False, line
+            self._first, self._sampled, last = False, False, line
         self._sampled |= bool(np.searchsorted(sampled, last) < len(sampled))
-        return ident_before, [(line, ident) for line, ident in changes if ident is not None]
+        return ident_before, changes

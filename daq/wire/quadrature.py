@@ -204,6 +204,8 @@ class PulseDecoder:
     up, down, edges: Totals so far; ``edges`` counts the rises of step.
     """
 
+    illegal = 0
+
     def __init__(self) -> None:
         self.up = self.down = self.edges = 0
         self._step_high = True  # a line that is high from the first sample on has not been seen to rise
@@ -213,24 +215,24 @@ class PulseDecoder:
         """Up minus down, in pulses."""
         return self.up - self.down
 
-    def feed(self, step: ArrayLike, direction: ArrayLike) -> Steps:
-        """Decode a chunk of step and direction levels (0 or 1, one per sample) and add to the totals."""
-        high = np.asarray(step, dtype=np.bool_)
-        forward = np.asarray(direction, dtype=np.bool_)
-        if high.shape != forward.shape:
-            raise ValueError(f"step has {high.shape} samples and direction {forward.shape}; need the same")
+    def feed(self, levels: ArrayLike) -> Steps:
+        """Decode a chunk of levels, step + 2 direction, one per sample, and add to the totals."""
+        chunk = _check_levels(levels)
+        high = (chunk & 1).astype(np.bool_)
         rises = high.copy()
         if len(high):
             rises[1:] &= ~high[:-1]
             rises[0] &= not self._step_high
             self._step_high = bool(high[-1])
         index = np.flatnonzero(rises)
-        signs = np.where(forward[index], 1, -1).astype(np.int8)
+        signs = np.where(chunk[index] > 1, 1, -1).astype(np.int8)
         up = int(np.count_nonzero(signs == 1))
         self.up += up
         self.down += len(index) - up
         self.edges += len(index)
         return Steps(index, signs, np.zeros(len(index), dtype=np.bool_))
+
+    count = feed
 
 
 def levels_of(count: ArrayLike) -> NDArray[np.uint8]:

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def read(path: Path, text: str) -> Table:
         raise InputError("its header does not end", where, "export it again, or delete the lines above the table")
     header = _parse_tags(lines[:end], separator)
     segments = [segment for segment in _split_segments(lines, end + 1, separator, where) if segment.rows]
-    if not segments:
+    if not segments or {*segments[0].names} <= {_COLUMNS}:
         raise InputError("has no numbers", where, "give a measurement with a channel of positions")
     first = segments[0]
     decimal = header.get("Decimal_Separator", [""])[0] or _find_decimal(
@@ -61,14 +62,14 @@ def read(path: Path, text: str) -> Table:
     for segment in segments:
         _check_segment(segment, first, where)
     kind = header.get("X_Columns", ["One"])[0]
-    names, clocks = _name_columns(first, kind, decimal, where)
+    names, clocks, *_ = _lay_out(first, kind, decimal, where)
     rows: list[Sequence[str]] = []
     numbers: list[int] = []
     starts: list[int] = []
     origin = _read_stamp(first.tags)
     last = -math.inf
     for segment in segments:
-        timed_rows, measurement_starts = _insert_times(segment, kind, decimal, where)
+        _, _, timed_rows, measurement_starts = _lay_out(segment, kind, decimal, where)
         times = [layout.read_number(row[0], decimal) for row in timed_rows]
         begin = next((time for time in times if time is not None), None)
         shift = 0.0
@@ -168,45 +169,48 @@ def _find_decimal(cells: Sequence[str]) -> str:
     return "," if commas else "."
 
 
-def _name_columns(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[str], list[int | None]]:
-    """Return the names of the columns with their units, and of each channel the column with its times."""
-    units = segment.tags.get("Y_Unit_Label", [])
-    channels = [name for name in segment.names if name != _COLUMNS]
-    assigned = _assign_clocks(segment, kind, decimal, where)
-    count = len({clock for clock, _ in assigned})
-    names = ["Time (s)"] if count == 1 else [f"Time {number + 1} (s)" for number in range(count)]
-    clocks: list[int | None] = [None] * count
-    for name, (clock, column) in zip(channels, assigned, strict=True):
-        unit = units[column] if column < len(units) else ""
-        names.append(f"{name} ({unit})" if unit else name)
-        clocks.append(clock)
-    return names, clocks
+class _Layout(NamedTuple):
+    """A segment as a table: the columns of times, then the channels."""
+
+    names: list[str]  # of the columns, with their units
+    clocks: list[int | None]  # of each channel the column with its times, of a column of times None
+    rows: list[list[str]]
+    starts: list[int]  # rows at which measurements begin
 
 
-def _assign_clocks(segment: _Segment, kind: str, decimal: str, where: str) -> list[tuple[int, int]]:
-    """Return of each channel the number of its clock, and its number among the channels' tags."""
+def _lay_out(segment: _Segment, kind: str, decimal: str, where: str) -> _Layout:
     channels = [column for column, name in enumerate(segment.names) if name != _COLUMNS]
+    tags = [column - 1 for column in channels]  # number of each channel among the tags of the header
+    size = len(segment.rows)  # of a measurement
     if kind == "No":
-        waveforms = _read_waveforms(segment, len(channels), decimal, where)
+        tags = list(range(len(channels)))
+        waveforms = [_read_waveform(segment, number, decimal, where) for number in tags]
         distinct = list(dict.fromkeys(waveforms))
-        return [(distinct.index(waveform), number) for number, waveform in enumerate(waveforms)]
-    if kind != "Multi":
-        return [(0, column - 1) for column in channels]
-    times: list[int] = []
-    clocks = []
-    for column in channels:
-        time_column = _times_before(segment, column)
-        clock = next(
-            (index for index, other in enumerate(times) if _have_equal_times(segment, time_column, other)), len(times)
-        )
-        times += [time_column] if clock == len(times) else []
-        clocks.append((clock, column - 1))
-    return clocks
-
-
-def _times_before(segment: _Segment, channel: int) -> int:
-    """Return the column of X values before a channel."""
-    return max(column for column, name in enumerate(segment.names[:channel]) if name == _COLUMNS)
+        clocks = [distinct.index(waveform) for waveform in waveforms]
+        samples = _read_tag(segment.tags, "Samples", 0, decimal) or 0.0
+        size = int(samples) if 0 < samples < size else size
+        times = [
+            [repr(begin + row % size * step).replace(".", decimal) for begin, step in distinct]
+            for row in range(len(segment.rows))
+        ]
+    else:
+        # X values stand in the first column, or in one before each channel; of equal ones the first is kept.
+        kept: list[int] = []
+        clocks = []
+        for column in channels:
+            before = max(other for other in range(column) if segment.names[other] == _COLUMNS) if kind == "Multi" else 0
+            equal = (index for index, other in enumerate(kept) if _have_equal_times(segment, before, other))
+            clocks.append(next(equal, len(kept)))
+            kept += [before] if clocks[-1] == len(kept) else []
+        times = [[row[column] for column in kept] for row in segment.rows]
+    count = max(clocks, default=-1) + 1
+    names = ["Time (s)"] if count == 1 else [f"Time {number + 1} (s)" for number in range(count)]
+    units = segment.tags.get("Y_Unit_Label", [])
+    for column, tag in zip(channels, tags, strict=True):
+        unit = units[tag] if tag < len(units) else ""
+        names.append(f"{segment.names[column]} ({unit})" if unit else segment.names[column])
+    rows = [[*own, *(row[column] for column in channels)] for own, row in zip(times, segment.rows, strict=True)]
+    return _Layout(names, [*[None] * count, *clocks], rows, list(range(0, len(rows), size)))
 
 
 def _have_equal_times(segment: _Segment, column: int, other: int) -> bool:
@@ -215,36 +219,13 @@ def _have_equal_times(segment: _Segment, column: int, other: int) -> bool:
     return column == other or all(first == second or not first or not second for first, second in pairs)
 
 
-def _read_waveforms(segment: _Segment, channels: int, decimal: str, where: str) -> list[tuple[float, float]]:
-    """Return X0 and Delta_X of each channel."""
-    waveforms = []
-    for number in range(channels):
-        begin, step = (_read_tag(segment.tags, tag, number, decimal) for tag in ("X0", "Delta_X"))
-        if begin is None or not step:
-            what = "has neither a column of X values nor X0 and Delta_X"
-            raise InputError(what, f"{where}, line {segment.lines[0]}", "export it with X_Columns One")
-        waveforms.append((begin, step))
-    return waveforms
-
-
-def _insert_times(segment: _Segment, kind: str, decimal: str, where: str) -> tuple[list[list[str]], list[int]]:
-    """Return the rows of a segment, with the columns of times before the channels, and where measurements begin."""
-    channels = [column for column, name in enumerate(segment.names) if name != _COLUMNS]
-    if kind == "No":
-        distinct = list(dict.fromkeys(_read_waveforms(segment, len(channels), decimal, where)))
-        samples = _read_tag(segment.tags, "Samples", 0, decimal) or 0.0
-        size = int(samples) if 0 < samples < len(segment.rows) else len(segment.rows)
-        rows = [
-            [*(repr(begin + row % size * step).replace(".", decimal) for begin, step in distinct), *cells[1:]]
-            for row, cells in enumerate(segment.rows)
-        ]
-        return rows, list(range(0, len(rows), size))
-    if kind != "Multi":
-        return segment.rows, [0]
-    clocks = _assign_clocks(segment, kind, decimal, where)
-    first = {clock: column for (clock, _), column in reversed(list(zip(clocks, channels, strict=True)))}
-    times = [_times_before(segment, first[clock]) for clock in sorted(first)]
-    return [[row[column] for column in (*times, *channels)] for row in segment.rows], [0]
+def _read_waveform(segment: _Segment, number: int, decimal: str, where: str) -> tuple[float, float]:
+    """Return X0 and Delta_X of a channel."""
+    begin, step = (_read_tag(segment.tags, tag, number, decimal) for tag in ("X0", "Delta_X"))
+    if begin is None or not step:
+        what = "has neither a column of X values nor X0 and Delta_X"
+        raise InputError(what, f"{where}, line {segment.lines[0]}", "export it with X_Columns One")
+    return begin, step
 
 
 def _read_tag(tags: dict[str, list[str]], tag: str, number: int, decimal: str) -> float | None:

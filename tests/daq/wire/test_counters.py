@@ -18,7 +18,9 @@ NONE = np.empty(0, dtype=np.int64)
 def test_net_counts_follow_both_counters_through_any_number_of_roll_overs(bits, moves):
     width = 1 << bits
     up, down = (np.cumsum([move[which] % width for move in moves]) for which in (0, 1))
-    net = counters.net_count((up % width).astype(np.uint32), (down % width).astype(np.uint32), bits)
+    sent = ((column % width).astype(np.uint32) for column in (up, down))
+    begins, every = np.arange(len(up)) == 0, np.ones(len(up), np.int64)
+    net = counters.net_count(*sent, begins, bits * every, every)
     assert np.array_equal(np.diff(net), np.diff(up - down))
     assert (net[0] - (up - down)[0]) % width == 0
     assert -width // 2 <= net[0] < width // 2
