@@ -102,7 +102,7 @@ def board(name: str) -> BoardFirmware | Sketch:
     """Return a board by its name; InputError for another."""
     known = BOARDS | SKETCHES
     if name not in known:
-        raise InputError(f"no firmware for a board {name!r}", "--board", nearest(name, list(known)))
+        raise InputError(f"there is no firmware for a board {name!r}", "--board", nearest(name, list(known)))
     return known[name]
 
 
@@ -115,7 +115,7 @@ def folder() -> Path:
     for place in (here.parent / "firmware", here / "firmware"):
         if (place / "latch.S").exists():
             return place
-    raise InputError("the firmware's files are missing", str(here / "firmware"), "install stickslip again")
+    raise InputError("the firmware files are missing", str(here / "firmware"), "install stickslip again")
 
 
 def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Path, list[Path]]:
@@ -157,12 +157,12 @@ def _copied(files: Mapping[Path, Path], target: Path, force: bool) -> list[Path]
     """Copy files to their places in a folder, each whole or not at all; return the places."""
     for place, file in files.items():
         if place.exists() and not force and place.read_bytes() != file.read_bytes():
-            do = "give another -o, or --force"
+            do = "choose another folder with -o, or use --force"
             raise InputError("exists with different content", str(place), do)
     from stickslip.output import atomic
 
     if target.exists() and not target.is_dir():
-        raise InputError("is not a folder", str(target), "give a folder, with -o")
+        raise InputError("is not a folder", str(target), "choose a folder with -o")
     with disk.writing(target):
         for place in files:
             place.parent.mkdir(parents=True, exist_ok=True)

@@ -239,14 +239,14 @@ def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
     if ranking.rows and not adequacy.rejected:
         fit = ranking.best.fit
         if Global.COMPLIANCE in fit.places and not fit.task.curve.kind:
-            what = "no scene: a belt that slows under load is not modelled beside a formula"
-            raise DataError(what, "--save-scene", "leave it out")
+            what = "no scene can be written: a formula cannot be combined with a belt that slows under load"
+            raise DataError(what, "--save-scene", "omit it")
         return fit, None
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(
-            f"no scene: {adequacy.verdict}, and no friction curve describes the record",
+            f"no scene can be written, because no friction curve describes the record ({adequacy.verdict})",
             "--save-scene",
-            "leave it out; departures in the report may say what is missing",
+            "omit it; the departures in the report may show what is missing",
         )
     return adequacy.curve.spline_fit, adequacy.curve
 

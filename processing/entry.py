@@ -98,12 +98,12 @@ def smooth(
         if isinstance(position, str):
             method, position = position, None
         if position is not None:
-            problem = "a position in addition to a run"
-            raise InputError(problem, where, "give the run alone: processing.smooth(run, method=...)")
+            problem = "a position was passed in addition to a run"
+            raise InputError(problem, where, "pass only the run: processing.smooth(run, method=...)")
         run = run_or_time if isinstance(run_or_time, daq.Recording) else daq.load(run_or_time)
     elif position is None:
         problem = f"a {type(run_or_time).__name__} without a position"
-        advice = "give a run, a file or two arrays: processing.smooth(time, position)"
+        advice = "pass a run, a file or two arrays: processing.smooth(time, position)"
         raise InputError(problem, where, advice)
     else:
         run = daq.Recording.from_arrays(run_or_time, position)

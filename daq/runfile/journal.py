@@ -86,7 +86,7 @@ class Records:
             for number in numbers:
                 record = journal_records.read_record(content, self._places[number], whole=False)
                 if record is None:
-                    raise OSError(errno.EIO, "has changed while it was read", str(self.path))
+                    raise OSError(errno.EIO, "changed while it was read", str(self.path))
                 yield record
 
     def of_kind(self, *kinds: int) -> Iterator[Record]:
@@ -222,7 +222,7 @@ def _create(path: Path) -> tuple[IO[bytes], FileLock | None]:
         return file, FileLock(path)
     except BlockingIOError as error:  # another recorder looks whether it is one without data (`remove_empty`)
         file.close()
-        raise FileExistsError(error.errno, "another recorder uses it", str(path)) from error
+        raise FileExistsError(error.errno, "another recorder is using it", str(path)) from error
     except OSError:
         return file, None
 
@@ -254,7 +254,7 @@ def read_header(path: Path) -> dict[str, Any]:
         content = Content(file.read(2 * HEADER_EVERY))
     header_record = journal_records.header(content, journal_records.scan(content))
     if journal_records.wrong_in_magic(content) is None or header_record is None:
-        raise InputError("is not a journal of daq", str(path), "give the RUN.h5.part that a recording writes")
+        raise InputError("is not a journal of daq", str(path), "use the file RUN.h5.part of a recording")
     return journal_header.parse(header_record.data, path)
 
 
@@ -277,7 +277,7 @@ def _read(path: Path, content: Content) -> Journal:
         raise InputError("contains no record: the recording ended immediately", str(path), "delete it and record again")
     damaged = journal_records.wrong_in_magic(content)
     if damaged is None:
-        raise InputError("is not a journal of daq", str(path), "give the .part file that the recording left")
+        raise InputError("is not a journal of daq", str(path), "use the .part file of the recording")
     places, kinds, received = array("q"), bytearray(), 0
     marks: list[Place] = []  # the first record that holds, and the first header
     whole = len(MAGIC)
@@ -313,19 +313,21 @@ def end_reason(record: Record) -> str:
 
 
 def make_missing_error(path: Path) -> InputError:
-    return InputError("no such journal", str(path), "give the .part file that the recording left")
+    return InputError("no such journal", str(path), "use the .part file of the recording")
 
 
 def make_folder_error(path: Path) -> InputError:
-    return InputError("is a folder", str(path), "give the .part file that the recording left")
+    return InputError("is a folder", str(path), "use the .part file of the recording")
 
 
 def _make_header_error(path: Path, size: int, received: int) -> InputError:
     if received:
-        what = f"its header is damaged, in every copy; {received} records of received bytes follow it"
-        return InputError(what, str(path), "keep it: the bytes are complete, but how they were recorded is unknown")
-    what = f"has no complete record in its {size} bytes: its header is cut short, or it is damaged throughout"
-    return InputError(what, str(path), "look for another copy of it, or record again")
+        what = f"all copies of its header are damaged; {received} records of received bytes follow"
+        return InputError(
+            what, str(path), "keep it: the bytes are complete, but the settings of the recording are unknown"
+        )
+    what = f"contains no complete record in its {size} bytes, because it is cut short or damaged"
+    return InputError(what, str(path), "use another copy of it, or record again")
 
 
 def markers_path(run: Path) -> Path:

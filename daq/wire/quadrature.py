@@ -82,7 +82,7 @@ class Decoder:
 
     def __init__(self, kind: str, levels: int | None = None) -> None:
         if kind not in DECODERS:
-            raise ValueError(f"decoder is {kind!r}; need one of {', '.join(DECODERS)}")
+            raise ValueError(f"the decoder must be one of {', '.join(DECODERS)}, not {kind!r}")
         self.kind = kind
         self.levels = levels
         self.latched_up = True
@@ -157,7 +157,7 @@ class Decoder:
 def _check_levels(levels: ArrayLike) -> NDArray[np.uint8]:
     chunk = np.asarray(levels, dtype=np.uint8)
     if len(chunk) and chunk.max() > 3:
-        raise ValueError(f"levels of {chunk.max()} at sample {int(chunk.argmax())}; need A + 2 B, 0 to 3")
+        raise ValueError(f"levels must be A + 2 B, 0 to 3, not {chunk.max()} (at sample {int(chunk.argmax())})")
     return chunk
 
 
@@ -218,7 +218,7 @@ class PulseDecoder:
         high = np.asarray(step, dtype=np.bool_)
         forward = np.asarray(direction, dtype=np.bool_)
         if high.shape != forward.shape:
-            raise ValueError(f"step has {high.shape} samples and direction {forward.shape}; need the same")
+            raise ValueError(f"step and direction must have the same shape, not {high.shape} and {forward.shape}")
         rises = high.copy()
         if len(high):
             rises[1:] &= ~high[:-1]

@@ -19,7 +19,7 @@ def learn(method: str, series: Series, setting: Setting, noise: float) -> Method
 
     A belt speed in the setting is that of the sticks; InputError for a window or an order.
     """
-    reject_window(setting, method, f"{method} has no window: the smoothing is estimated from the record")
+    reject_window(setting, method, f"{method} has no window, because it estimates the smoothing from the record")
     jerk, stated = white_jerk.fit(series), setting.belt_speed
     if method == "rts":
         return MethodModel(method="rts", noise=noise, jerk=jerk, stated=stated)

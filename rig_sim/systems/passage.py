@@ -26,7 +26,7 @@ STROBE, SLIP, LANDING = 1, 2, 4
 NO_PASSAGE = 30
 ENDS = {
     **OUTCOMES,
-    NO_PASSAGE: Outcome("no stick", "the mass no longer sticks within many oscillations"),
+    NO_PASSAGE: Outcome("no stick", "the mass does not stick within many oscillations"),
 }
 TIME, POSITION, VELOCITY, FACTOR, SECTION = range(5)  # columns of a passage
 COLUMNS = 5

@@ -58,7 +58,7 @@ def test_settings_are_refused_while_it_samples_and_kept_between_starts(switch_on
         assert host.say("I")[-1].block_size == 3
         first = host.say("S", "R 1000", wait=0.5)
         notices = [frame for frame in first if isinstance(frame, Notice)]
-        assert [notice.text for notice in notices] == ["R 1000: sampling; stop it first with X"]
+        assert [notice.text for notice in notices] == ["R 1000: the board is sampling; stop it first with X"]
         rest = host.say("X", wait=0.5)
         blocks = [frame for frame in first + rest if isinstance(frame, SampleBlock)]
         assert [len(block.dt) for block in blocks[:-1]] == [3] * (len(blocks) - 1)

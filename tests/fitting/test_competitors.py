@@ -55,7 +55,7 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
     ("typed", "said"),
     [
         ({"laws": "7"}, "unknown law 7"),
-        ({"laws": ""}, "no law to fit"),
+        ({"laws": ""}, "no law was requested"),
         ({"laws": "5,strib"}, "did you mean 'stribeck'"),
         ({"law": ["mine"]}, "no published law"),
         ({"law": ["stribeck: Fs - G*s"]}, "name of a published law"),
@@ -70,7 +70,7 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
         ({"fix": ["gamma=1", "gamma=2"]}, "given twice"),
         ({"fix": ["static=0.5"]}, "at least 1"),
         ({"fix": ["k/m=0"]}, "above 0"),
-        ({"bound": ["gamma=2:1"]}, "give the lower one first"),
+        ({"bound": ["gamma=2:1"]}, "write the lower bound first"),
         ({"bound": ["gamma=:"]}, "write LO:HI"),
         ({"bound": ["gamma=1:2"], "fix": ["gamma=1.5"]}, "fixed and has bounds"),
         ({"bound": ["gamma=1:2"], "start": ["gamma=3"]}, "not within 1 and 2"),

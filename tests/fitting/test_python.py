@@ -76,7 +76,7 @@ def test_a_run_its_motion_and_its_arrays_give_one_answer(run, tmp_path):
     page = of_arrays.report(tmp_path / "arrays.html")
     assert of_arrays.report(page) == page  # its own again
     of_motion = fitting.rank(processing.smooth(run), run.rig, 5)
-    with pytest.raises(StickslipError, match="is the report of another run; give another name, or force=True"):
+    with pytest.raises(StickslipError, match="is the report of another run; choose another name, or force=True"):
         of_motion.report(page)
     assert of_motion.best.parameters == fitting.rank(run, laws=5).best.parameters
     for name in ("k/m", "gamma"):  # without the length of a count the rounding is not known
@@ -244,10 +244,10 @@ def test_positions_in_mm_are_asked_about(run, call):
 # A mistake, and the words that say what to do.
 MISTAKES = [
     (lambda run: fitting.rank(run.time), "fitting.rank(time, position)"),
-    (lambda run: fitting.rank(run, run.position), "give the run alone"),
+    (lambda run: fitting.rank(run, run.position), "pass only the run"),
     (lambda run: fitting.rank(run.time, run.position[1:]), "time has 6000 values and position 5999; give one each"),
     (lambda run: fitting.rank("nowhere.h5"), "no such file; check the path"),
-    (lambda run: fitting.rank([]), "no run; give at least one"),
+    (lambda run: fitting.rank([]), "no run; pass at least one"),
     (lambda run: fitting.rank(run, laws=7), "laws: unknown law 7; choose 1 to 6"),
     (lambda run: fitting.rank(run, laws="strybeck"), "laws: 'strybeck' is no published law; did you mean 'stribeck'?"),
     (lambda run: fitting.rank(run, fix={"gama": 10}), "fix: no law that is fitted has a parameter gama; did you mean"),
@@ -262,14 +262,14 @@ MISTAKES = [
     (lambda run: fitting.rank(run, belt_speed=0), "belt_speed: belt speed is 0"),
     (lambda run: fitting.rank(run, belt_speed="fast"), "belt_speed: "),
     (lambda run: fitting.rank(run, belt_speed="channel"), "belt_speed: the run has no belt counts"),
-    (lambda run: fitting.rank(run, laws=()), "no law to fit"),
+    (lambda run: fitting.rank(run, laws=()), "no law was requested"),
     (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; give a number"),
     (lambda run: fitting.rank(run, alpha=0.0), "alpha: alpha is 0"),
     (lambda run: fitting.rank(run, alpha=1e-300), "alpha: alpha is 1e-300"),
-    (lambda run: fitting.rank(run, jobs=0), "jobs: jobs is 0; give 1 or more"),
+    (lambda run: fitting.rank(run, jobs=0), "jobs: jobs is 0; it must be 1 or more"),
     (lambda run: fitting.rank(run, begin=3), "fitting.rank('run.h5', begin=5), or cut the arrays"),
     (lambda run: fitting.rank(RUN, begin=30), "give other times with begin and end"),
-    (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles to exclude from several runs"),
+    (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles cannot be excluded from a joint fit"),
     (lambda run: fitting.rank([run, run], belt_speed=0.2), "several runs"),
     (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; give one for all"),
     (lambda run: fitting.rank(run.time, np.arange(6000)), "daq.Recording.from_arrays(time, counts, metres_per_count="),
@@ -279,18 +279,18 @@ MISTAKES = [
         lambda run: fitting.Law("mine", MINE, start={"v": 1}),
         "start: v is no parameter of law mine; did you mean 'v_s'?",
     ),
-    (lambda run: fitting.Law("mine", abs), 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")'),
+    (lambda run: fitting.Law("mine", abs), 'write fitting.Law("mine", "Fs/(1 + s/v_s)")'),
 ]
 OF_A_RANKING = [
-    (lambda found: fitting.rank(found), "give a run: fitting.rank(daq.load(path))"),
+    (lambda found: fitting.rank(found), "pass a run: fitting.rank(daq.load(path))"),
     (lambda found: found.best.profile("gama"), "law 5 has no parameter 'gama'; did you mean 'gamma'?"),
-    (lambda found: found.best.profile("wear"), "wear follows from other parameters; take one of k/m"),
+    (lambda found: found.best.profile("wear"), "wear is computed from other parameters; take one of k/m"),
     (lambda found: found.best.position("now"), "t: t is 'now'; give numbers, as in t=np.linspace(0, 1, 101)"),
     (lambda found: found.bootstrap(1), "bootstrap: n is 1; give 2 draws or more"),
-    (lambda found: found.report("other.html"), "give another name, or force=True to replace it"),
-    (lambda found: found.report("run.pdf"), "name it run.html (path); then print the page from a browser"),
+    (lambda found: found.report("other.html"), "choose another name, or force=True to replace it"),
+    (lambda found: found.report("run.pdf"), "name it run.html (path); to obtain a PDF, print this page from a browser"),
     (lambda found: found.save_scene("rig.h5"), "this is a TOML file; name it rig.toml (path)"),
-    (lambda found: found.save_scene("there.toml"), "give another name, or force=True to replace it"),
+    (lambda found: found.save_scene("there.toml"), "choose another name, or force=True to replace it"),
 ]
 
 

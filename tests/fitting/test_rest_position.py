@@ -105,7 +105,7 @@ def test_a_spring_at_rest_beyond_the_break_away_is_refused(bare, fitted):
 @pytest.mark.parametrize(
     ("flags", "what"),
     [
-        (["--x0", "1 mm", "--datum", "1 mm"], "--x0 and --datum together"),
+        (["--x0", "1 mm", "--datum", "1 mm"], "--x0 and --datum cannot be combined"),
         (["--x0", "1 mm", "--datum-sd", "1 mm"], "--x0 and --datum-sd together"),
         (["--datum", "1 mm +- 1 mm", "--datum-sd", "1 mm"], "--datum with +- and --datum-sd together"),
         (["--damping", "0.1 +- 0.1", "--damping-sd", "0.1"], "--damping with +- and --damping-sd together"),

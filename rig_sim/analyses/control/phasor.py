@@ -49,7 +49,7 @@ def shaker_for(m: float, k: float, S: float, omega: float, delta: float) -> tupl
     The inverse of `phasor`; phi lies from 0 to 2 pi.
     """
     if not omega > 0.0:
-        raise ValueError(f"omega is {omega}; need a frequency above 0")
+        raise ValueError(f"omega must be a frequency above 0, not {omega}")
     size = omega * omega + delta * delta
     R = -S + delta * (m + k / size)
     I = omega * (k / size - m)  # noqa: E741

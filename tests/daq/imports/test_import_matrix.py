@@ -108,7 +108,7 @@ def test_a_unit_that_cannot_be_is_asked_for_and_not_guessed(tmp_path, form):
     own = [("t", "", TIME), ("x", "", 4e3 * X)]
     path = (BARE | FORMATS)[form](tmp_path, own)
     names = {"time": "data.t", "position": "data.x"} if "structure" in form else {}
-    with pytest.raises(InputError, match="the positions have no unit, and in m the mass"):
+    with pytest.raises(InputError, match="the positions have no unit, and in metres the mass"):
         daq.load(path, **names)
     np.testing.assert_allclose(daq.load(path, x_unit="0.25 mm", **names).position, X, atol=1e-8)
 

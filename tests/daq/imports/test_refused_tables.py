@@ -113,7 +113,7 @@ TEXTS = [
     (
         COUNT,
         {"counts_per_rev": 0, "circumference": "1 mm"},
-        ["counts_per_rev: is 0; give a positive whole number"],
+        ["counts_per_rev: is 0; use a positive whole number"],
     ),
     (COUNT, {"counts_per_rev": 9, "circumference": 0}, ["metres_per_count is 0; it must be not zero"]),
     (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["give one or the other"]),
@@ -343,4 +343,4 @@ def test_a_line_longer_than_a_table_has_is_refused_unread(tmp_path, monkeypatch)
     monkeypatch.setattr(layout, "split_cells", lambda *_: pytest.fail("a line was split"))
     said = refusal(path, {})
     assert f"{path}, line 3: the line has {2 * table.LONGEST_LINE} characters" in said
-    assert "delete that line; if the table begins below it, give --preamble 3" in said
+    assert "delete that line; if the table begins below it, use --preamble 3" in said

@@ -153,7 +153,7 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
     ("declared", "said"),
     [
         ("t_us", "which columns are the counts"),
-        ("up,down", "a time column is required"),
+        ("up,down", "a column of times is required"),
         ("t_us,t_ms,count", "which column is the time"),
         ("t_us,up", "up and down"),
         ("t_us,up,down,count", "counts"),
@@ -163,7 +163,7 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
         ("t_us,count:12", "not a width"),
         ("t_us,count,a", "only one of two levels"),
         ("t_us,x_in", "unknown column 'x_in'"),
-        ("t_us,x_mm:12", "'x_mm:12' is not a number of decimals; write x_mm:2 for two, at most 9"),
+        ("t_us,x_mm:12", "'x_mm:12' is not a valid number of decimals; write x_mm:2 for two, at most 9"),
         ("t_us,x_mm,F_N", r"which columns are the counts\?"),
         ("t_us,count,x_mm", "such as x_mm or F_N"),
     ],

@@ -71,7 +71,7 @@ def test_integers_are_counts(tmp_path):
     np.testing.assert_array_equal(run.count, count)
     np.testing.assert_allclose(run.position, count * 1e-6, rtol=1e-15)
     found = daq.record(card(count.astype(np.int64) + 2**40), tmp_path / "bare.h5", rate_hz=RATE)
-    assert found.warnings == ("metres per count unknown: positions are in counts",)
+    assert found.warnings == ("the metres per count are not known, so positions are in counts",)
     bare = daq.load(tmp_path / "bare.h5")
     np.testing.assert_array_equal(bare.count, count.astype(np.int64) + 2**40)
     assert bare.unit == "count"
@@ -248,7 +248,7 @@ def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tm
         ((TIME[700:800], MASKED), "daq.record, block 8: position is masked at sample 51 and 48 more"),
         ((TIME[700:800], X[700:800].astype(complex)), "block 8: position holds complex128 values"),
         ((TIME[700:800], X[700:800] > 0), "block 8: position holds bool values"),
-        ((TIME[700:800].astype("M8[s]"), X[700:800]), "block 8: time holds dates or durations"),
+        ((TIME[700:800].astype("M8[s]"), X[700:800]), "block 8: time contains dates or durations instead of numbers"),
         ((TIME[700:800] * np.where(TIME[700:800] > 0.75, 1e12, 1), X[700:800]), "its times reach"),
     ],
 )
@@ -270,7 +270,7 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
         ),
         (lambda: card(t=TIME * 2, size=5), {}, "the times step at 500 Hz, and rate_hz is 1000"),
         (lambda: iter([]), {}, "the source gave no samples"),
-        (lambda: 5, {}, "the source is a int; give a port, a URL, or an iterable of blocks (t, x)"),
+        (lambda: 5, {}, "the source is a int; pass a port, a URL, or an iterable of blocks (t, x)"),
         (lambda: {"t": TIME, "x": X}, {}, "the source is a dict"),
         (card, {"rate_hz": None}, "rate_hz is None; give the samples per second"),
         (card, {"rate_hz": 0}, "rate_hz is 0"),
@@ -287,9 +287,9 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
         (card, {"rate_hz": True}, "rate_hz is True; give a number in Hz"),
         (card, {"rate_hz": float("nan")}, "rate_hz is nan"),
         (card, {"rate_hz": float("inf")}, "rate_hz is inf"),
-        (card, {"rate_hz": "1 kHz +- 1 Hz"}, "rate_hz: '1 kHz +- 1 Hz' has an error, of which no use is made here"),
-        (card, {"rate_hz": (1000, 1)}, "rate_hz: (1000, 1) has an error, of which no use is made here"),
-        (card, {"seconds": "2 s +- 1 s"}, "seconds: '2 s +- 1 s' has an error, of which no use is made here"),
+        (card, {"rate_hz": "1 kHz +- 1 Hz"}, "rate_hz: '1 kHz +- 1 Hz' has an error, which is not accepted here"),
+        (card, {"rate_hz": (1000, 1)}, "rate_hz: (1000, 1) has an error, which is not accepted here"),
+        (card, {"seconds": "2 s +- 1 s"}, "seconds: '2 s +- 1 s' has an error, which is not accepted here"),
         (card, {"seconds": "2 kg"}, "seconds: 'kg' is not a unit of time"),
         (card, {"seconds": float("nan")}, "the duration is nan s"),
         (lambda: "rig://rig", {"rate_hz": float("inf")}, "a port takes whole Hz"),

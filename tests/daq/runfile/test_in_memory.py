@@ -120,8 +120,12 @@ def test_a_run_is_drawn_into_axes_that_are_given():
         ((TIME, np.where(TIME == 1, np.nan, X)), {}, "position is nan at sample 500; remove those samples: keep ="),
         ((TIME, ["a"] * 1500), {}, "position holds <U1 values, not numbers"),
         ((TIME, [None, "x", *X[2:]]), {}, "position holds None, not numbers"),
-        ((TIME.astype("M8[s]"), X), {}, "time holds dates or durations; give seconds: (t - t[0])"),
-        (([[0], [1, 2]], X), {}, "time is no column of numbers"),
+        (
+            (TIME.astype("M8[s]"), X),
+            {},
+            "time contains dates or durations instead of numbers; give seconds: (t - t[0])",
+        ),
+        (([[0], [1, 2]], X), {}, "time is not an array of numbers"),
         (([0.0], [1.0]), {}, "time and position have 1 sample(s); give two or more"),
         ((TIME, X), {"mass": "500 gg"}, "mass: 'gg' is not a unit of mass (in '500 gg'); did you mean 'g'?"),
         ((TIME, X), {"mass": -1}, "mass: mass is -1; it must be positive"),
@@ -140,8 +144,8 @@ def test_a_wrong_array_or_quantity_is_named_with_what_to_do(columns, changes, wo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((TIME,), "a ndarray without a position; give a run, a file or two arrays: processing.smooth(time, position)"),
-        ((run(), X), "a position in addition to a run; give the run alone"),
+        ((TIME,), "a ndarray without a position; pass a run, a file or two arrays: processing.smooth(time, position)"),
+        ((run(), X), "a position was passed in addition to a run; give the run alone"),
         (("no.h5",), "no.h5: no such file"),
     ],
 )

@@ -163,7 +163,7 @@ def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
     answer = command.fit(copy, joint_file, each=True, laws="5", no_report=True)  # a pattern named both
     assert [run["file"] for run in answer.data["runs"]] == [copy]
     assert f"{joint_file} is the file of a joint fit, left out" in capsys.readouterr().err
-    with pytest.raises(InputError, match="no run among the files"):
+    with pytest.raises(InputError, match="all files contain joint fits, not runs"):
         command.fit(joint_file, each=True)
 
 

@@ -268,7 +268,7 @@ def test_runs_are_fitted_together_with_a_formula(smoothed):
     assert abs(row.parameters["v_s"].value - 1 / 9.618) < 4 * row.parameters["v_s"].stderr
     document = application.plain(ranking.as_json())
     assert "mine" in document["runs"][0]["rms_by_law"]
-    with pytest.raises(InputError, match="one belt speed for several runs"):
+    with pytest.raises(InputError, match="a joint fit does not accept one belt speed for all runs"):
         rank(runs, laws=(5,), fix={"v_dr": 0.2})
 
 

@@ -133,7 +133,7 @@ def test_constant_friction_without_its_start_up_drag_is_refused(smoothed):
 
 def test_excluding_too_many_cycles_is_refused(smoothed):
     kinematics = smoothed(law=5)
-    with pytest.raises(DataError, match=r"8 more left out.*leave out fewer"):
+    with pytest.raises(DataError, match=r"8 more left out.*exclude fewer cycles"):
         rank(kinematics, excluded=range(1, 9))
     with pytest.raises(InputError, match=r"has (\d+)") as refused:
         rank(kinematics, excluded=[99])

@@ -30,10 +30,10 @@ KNOWN = {
     "all": Rig(mass=Measured(0.3, 1e-3), datum=Measured(0.0, 5e-4), belt_speed=Measured(0.22, 2e-3)),
 }
 WHY = {
-    "constant": "nothing moves",
+    "constant": "the mass does not move",
     "ramp": "the mass (moves on at|never moves with)",
-    "sine": "a sine without a start-up; constant friction is possible",
-    "decay": r"(\d whole swings in it, and no stick|no law comes near it|a sine without a start-up)",
+    "sine": "the motion is a sine without a start-up, which constant friction can also cause",
+    "decay": r"(\d whole swings in it, and no stick|no law fits even roughly|a sine without a start-up)",
     "coulomb_decay": r"\d whole swings in it, and no stick",
     "steps": "between its sticks the mass moves at a constant speed",
 }
@@ -70,7 +70,7 @@ def smoothed_stranger(belt_rig):
 def test_no_stick_slip_is_never_ranked(smoothed_stranger, name, known, seed):
     kinematics = smoothed_stranger(name, seed, KNOWN[known].belt_speed)
     kinematics = replace(kinematics, recording=replace(kinematics.recording, rig=KNOWN[known]))
-    with pytest.raises(DataError, match="no belt stick-slip in this record: " + WHY.get(name, "")):
+    with pytest.raises(DataError, match="no stick-slip was detected: " + WHY.get(name, "")):
         rank(kinematics)
 
 
@@ -83,7 +83,7 @@ def test_a_mass_that_swings_without_sticking_shows_no_stick(smoothed_stranger, s
     kinematics = smoothed_stranger("shaken", seed)
     assert kinematics.sticks == ()
     assert np.isnan(kinematics.belt_speed)
-    with pytest.raises(DataError, match="no belt stick-slip in this record: ") as refused:
+    with pytest.raises(DataError, match="no stick-slip was detected: ") as refused:
         rank(kinematics)
     assert "frames" not in str(refused.value)
 
@@ -100,7 +100,7 @@ def test_a_mass_that_swings_without_sticking_shows_no_stick(smoothed_stranger, s
     ],
 )
 def test_the_reason_is_true(smoothed_stranger, name, seed, why):
-    with pytest.raises(DataError, match=f"no belt stick-slip in this record: .*{why}") as refused:
+    with pytest.raises(DataError, match=f"no stick-slip was detected: .*{why}") as refused:
         rank(smoothed_stranger(name, seed), laws=(3, 5))
     assert "never" not in str(refused.value)
 
@@ -114,7 +114,7 @@ def test_a_drive_at_nearly_constant_speed_is_no_stick_slip(smoothed_stranger, se
 def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(smoothed_stranger, name, monkeypatch):
     # Fitting six laws to noise took 20 to 40 CPU s, only to refuse it.
     monkeypatch.setattr(exchange, "fit_laws", None)
-    with pytest.raises(DataError, match=r"no belt stick-slip in this record: (no law comes near it|a sine)"):
+    with pytest.raises(DataError, match=r"no stick-slip was detected: (no law fits even roughly|a sine)"):
         rank(smoothed_stranger(name, 12))
 
 
@@ -131,7 +131,7 @@ def test_an_imported_stranger_ends_in_exit_code_4(tmp_path, name, flags, capsys)
     capsys.readouterr()
     assert application.run(cli.app, [str(run), "--json"]) == 4
     error = json.loads(capsys.readouterr().out)["error"]
-    assert error["what"].startswith("no belt stick-slip in this record: ")
+    assert error["what"].startswith("no stick-slip was detected: ")
     assert error["where"]
     assert error["do"]
     assert not Path(tmp_path / "run.report.html").exists()
@@ -192,8 +192,8 @@ def test_sticks_of_two_samples_are_not_said_to_be_missing_alone(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"duration": 6.0, "belt_start": 99.0}, "no belt stick-slip in this record: nothing moves"),
-        ({"duration": 1.2}, "no slip between two sticks"),
+        ({"duration": 6.0, "belt_start": 99.0}, "no stick-slip was detected: the mass does not move"),
+        ({"duration": 1.2}, "there is no slip between two sticks"),
         ({"duration": 2.0}, "^.*1 complete stick-slip cycle; a verdict needs 4; record longer"),
         ({"duration": 5.0}, "^.*2 complete stick-slip cycles; a verdict needs 4; record longer"),
         ({"duration": 7.0}, "^.*3 complete stick-slip cycles; a verdict needs 4; record longer"),
@@ -226,7 +226,7 @@ def test_paper_on_paper_is_stick_slip_that_no_law_describes(published, tmp_path,
     store.write(run, published("k168Nm_v1100"))
     assert application.run(cli.app, [str(run), "--json"]) == 6
     document = json.loads(capsys.readouterr().out)
-    assert document["verdict"].startswith("stick-slip, but none of the six laws: ")
+    assert document["verdict"].startswith("stick-slip, but none of the six laws describes it: ")
     assert document["adequacy"]["verdict"] == "none of the six"
     assert document["set"] == document["ranking"] == []
     assert document["statistics"]["slips"] > 60
@@ -237,7 +237,7 @@ def test_paper_on_paper_is_stick_slip_that_no_law_describes(published, tmp_path,
 def test_break_aways_that_wander_are_stick_slip_too(published):
     ranking = rank(smooth(published("k168Nm_v42")), laws=(3, 5))
     # "the break-aways are spread over 123 mm, more than the length of a slip (0.552 mm)": its slips are 39 mm long.
-    assert ranking.verdict == "stick-slip, but none of the laws fitted: no law comes near it"
+    assert ranking.verdict == "stick-slip, but none of the laws fitted: no law fits even roughly"
     assert ranking.adequacy.verdict == "none of the laws fitted"
 
 

@@ -85,7 +85,7 @@ def test_a_window_is_read_as_people_write_it(imported, text, samples):
         ("3", None, "window is 3; need an odd number above order 4; use 5"),
         ("2ms", None, "window is 3; need an odd number above order 4"),
         ("0.2ms", None, "less than two sample intervals"),
-        ("wide", None, "window is 'wide'; use auto, an odd number of samples, or 20ms"),
+        ("wide", None, "window is 'wide'; use 'auto', an odd number of samples, or a duration such as 20ms"),
         ("4.5", None, "give a whole number of samples, or a unit"),
         ("101", None, "the longest stretch of the record has 100"),
         ("1e9ms", None, "window is 1e9ms; the longest stretch of the record lasts 0.1 s; give a shorter one"),

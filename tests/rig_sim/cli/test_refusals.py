@@ -25,7 +25,7 @@ REFUSED = [  # command line, where, words of the rest
     ("cycle base --set friction.Gama=1", "scene base", "did you mean 'gamma'"),
     ("cycle base --set friction", "--set", "write section.key=value"),
     ("cycle base --set friction.law=true", "scene base", "friction.law is True", "it should be 0, 1, 2, 3, 4, 5, 6,"),
-    ("cycle base --set belt.ripple_hz=2", "scene base", "belt.ripple_hz without belt.ripple"),
+    ("cycle base --set belt.ripple_hz=2", "scene base", "belt.ripple_hz requires belt.ripple"),
     ("cycle /dev/full", "/dev/full", "is a folder or a device"),  # it was read for ever
     ("cycle .", ".", "is a folder or a device"),
     ("cycle two-mass", "scene two-mass", "remove the section coupling"),
@@ -39,7 +39,7 @@ REFUSED = [  # command line, where, words of the rest
     ("events rig --until 1 --max-steps 0", "--max-steps", "give a positive number"),
     ("run rig --until 1 --rate 10 -o a.png", "a.png", "give a name in .h5 or .csv"),
     ("run rig --until 1 --rate 0 -o a.csv", "--rate", "give a positive number"),
-    ("run rig --until 1 --rate 10 -o none/a.csv", "none/a.csv", "its folder does not exist"),
+    ("run rig --until 1 --rate 10 -o none/a.csv", "none/a.csv", "the folder of this file does not exist"),
     (f"{RUN} --method rk5", "command line", "Choose from"),
     (f"{RUN} --step 0.1", "--step", "exact has no step", "--method=rk4-henon"),
     (f"{RUN} --rtol 0.1", "--rtol", "exact has no tolerance", "--method=dop853"),
@@ -57,8 +57,12 @@ REFUSED = [  # command line, where, words of the rest
     # analyses
     ("basins two-mass --cells 1000.5", "command line", "1000.5 is not a whole number"),  # it was read as 1000
     ("sweep base --over belt.speed=0.1:0.2:2", "scene base", "set drive.u0 and drive.omega"),
-    ("sweep forced --over drive.omega=1:2:2 --section map", "--section", "is map, which is for two masses"),
-    ("sweep two-mass --over belt.speed=0.1:0.2:2 --section slip", "--section", "is slip, which is for a driven mass"),
+    ("sweep forced --over drive.omega=1:2:2 --section map", "--section", "is 'map', which applies only to two masses"),
+    (
+        "sweep two-mass --over belt.speed=0.1:0.2:2 --section slip",
+        "--section",
+        "is 'slip', which applies only to a driven mass",
+    ),
     ("lyapunov forced --set drive.omega=0", "scene forced", "set drive.omega"),
     ("lyapunov forced --events 3", "--events", "give 20 to"),
     ("quench base", "scene base", "set drive.u0 and drive.omega"),
@@ -71,8 +75,8 @@ REFUSED = [  # command line, where, words of the rest
             ("c=0:1", "not a range of a parameter"),
             ("damper.c", "not a range of a parameter"),
             ("damper.c=1", "not a range of a parameter"),
-            ("damper.c=1:1", "give two different finite numbers"),
-            ("damper.c=0:nan", "give two different finite numbers"),
+            ("damper.c=1:1", "use two different finite numbers"),
+            ("damper.c=0:nan", "use two different finite numbers"),
             ("damper.c=0:1:1", "give 2 to"),
             ("damper.c=a:b", "contains something that is not a number"),
         )

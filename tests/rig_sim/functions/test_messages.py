@@ -56,7 +56,7 @@ MISTAKES = [
     (lambda: rig_sim.lyapunov("base"), "write rig_sim.scene('base', **{'drive.u0': 0.2, 'drive.omega': 1.6})"),
     (
         lambda: rig_sim.sweep("forced", over="drive.omega=1:2", section="map"),
-        "section: is map, which is for two masses",
+        "section: is 'map', which applies only to two masses",
     ),
     (lambda: rig_sim.sweep("two-mass", over="belt.speed=0.1:0.2:3", jobs=0), "jobs: is 0; give 1 or more"),
     (lambda: rig_sim.cycle("two-mass"), "use rig_sim.events, run, fixed_point"),

@@ -49,7 +49,7 @@ def test_a_negative_quantity_stands_after_a_blank(
         (["--x", "--until", "3"], "try: --x: has no value: --until stands in its place"),
         (["--x"], "--x"),
         (["--x", "-mm"], "'-mm' is not a valid length"),
-        (["--until", "2 s +- 1 s"], "--until: '2 s +- 1 s' has an error, of which no use is made here"),
+        (["--until", "2 s +- 1 s"], "--until: '2 s +- 1 s' has an error, which is not accepted here"),
     ],
 )
 def test_a_missing_value_and_an_error_of_no_use_are_refused(
