@@ -119,7 +119,7 @@ def _changed(flag: str, known: Measured | None, typed: Measured | None, sd: floa
     value, typed_sd = (typed.value, typed.sd) if typed is not None else (0.0 if known is None else known.value, 0.0)
     sd = typed_sd if sd is None else sd
     if not math.isfinite(value):
-        raise InputError(f"is {value}", flag, "give a number")
+        raise InputError(f"is {value}", flag, "use a number")
     if not 0 <= sd < math.inf:
         raise InputError(f"the standard deviation is {sd}", f"{flag}-sd", "it must be 0 or more")
     return Measured(float(value), float(sd))

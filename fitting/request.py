@@ -70,7 +70,12 @@ def place_outputs(runs: list[Path], outputs: OutputFlags, *, each: bool) -> Plac
     twice = len({path.resolve() for path in runs}) < len(runs)
     for wrong, what, where, do in (
         (twice, "a run is named twice", ", ".join(map(str, runs)), "name each run once"),
-        (outputs.no_report and outputs.report, "--report and --no-report cannot be combined", given, "give one"),
+        (
+            outputs.no_report and outputs.report,
+            "--report and --no-report cannot be combined",
+            given,
+            "use only one of them",
+        ),
         (each and outputs.curve_csv, "--curve-csv and --each cannot be combined", given, alone),
         (each and outputs.save_scene, "--save-scene and --each cannot be combined", given, alone),
     ):

@@ -91,7 +91,7 @@ def smooth(
     check_type(repair_counts, str, "repair_counts", where, "'off', 'flag' or 'fix'", required=True)
     check_type(model, Mapping, "model", where, "Kinematics.model of an earlier smoothing")
     if isinstance(window, Real) and not math.isfinite(window):
-        raise InputError(f"window is {window}", where, f"give {form}")
+        raise InputError(f"window is {window}", where, f"use {form}")
     if belt_speed != "auto":
         belt_speed = units.in_si(belt_speed, "speed", "belt_speed").value
     if isinstance(run_or_time, daq.Recording | str | os.PathLike):

@@ -237,5 +237,5 @@ def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: "R
 
 def _choose_output(source: Path, kind: str) -> Path:
     if kind == "run":
-        raise InputError("no output file was given", str(source), "give -o")
+        raise InputError("no output file was given", str(source), "add -o FILE.h5")
     return source.with_suffix("") if source.suffix == ".part" else source.with_suffix(".h5")

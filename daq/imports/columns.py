@@ -76,7 +76,7 @@ def find_columns(
         force_columns = [i for i in free if find_dimension(cells.names[i]) == "force"] if cells.names else []
         what = f"which column is the position? the columns are: {listed}"
         if not force_columns:
-            raise InputError(what, str(cells.path), "give --position")
+            raise InputError(what, str(cells.path), "choose one with --position")
         flags, keywords = _suggest_spring_flags(cells, force_columns[0])
         do = "use {}, or {} for the force of a pulling spring"
         raise InputError(
@@ -87,7 +87,9 @@ def find_columns(
     if t_column is None and len(free) == 1 and not rate_known:
         t_column = free[0]
     if t_column is None and len(free) > 1 and not rate_known:
-        raise InputError(f"which column is the time? the columns are: {listed}", str(cells.path), "give --time")
+        raise InputError(
+            f"which column is the time? the columns are: {listed}", str(cells.path), "choose one with --time"
+        )
     if t_column == x_column:
         raise InputError("time and position are the same column", str(cells.path), f"the columns are: {listed}")
     return t_column, x_column, frames
@@ -113,7 +115,7 @@ def find_by_name(cells: Table, name: str, flag: str) -> int:
 
 def _ambiguity_error(cells: Table, which: str, places: list[int], flag: str) -> InputError:
     choice = source.shorten(f"{cells.names[i]!r} (column {i + 1})" for i in places)
-    return InputError(f"which column is {which}: {choice}?", str(cells.path), f"give {flag}=NUMBER")
+    return InputError(f"which column is {which}: {choice}?", str(cells.path), f"choose one with {flag}=NUMBER")
 
 
 def check_clock(cells: Table, column: int, time: int | None) -> int | None:

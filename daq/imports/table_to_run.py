@@ -309,7 +309,7 @@ def _check_options(options: ImportOptions, stated: Mapping[str, Measured | int])
                 what = f"{flag} is in SI units, but without --mass positions are in units of weight / stiffness"
                 raise InputError(what, flag, "add --mass and --stiffness, or omit it")
     elif options.stiffness is None:
-        raise InputError("--spring-force requires the stiffness of the spring", "command line", "give --stiffness")
+        raise InputError("--spring-force requires the stiffness of the spring", "command line", "add --stiffness")
 
 
 def _is_over_weight(options: ImportOptions) -> bool:
@@ -392,7 +392,7 @@ def _choose_time_reader(cells: table.Table, column: int, *, clock: bool) -> tabl
     if row is not None and cells.number(row[column]) is None and layout.read_clock(row[column]) is not None:
         what = f"{cells.label(column)} contains times of day such as {row[column].strip()}"
         where = cells.locate(int(cells.lines[index]), column)
-        raise InputError(what, where, "give --clock", python="pass clock=True")
+        raise InputError(what, where, "add --clock", python="pass clock=True")
     return column, cells.number, "a number"
 
 

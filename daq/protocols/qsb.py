@@ -53,7 +53,7 @@ def check(request: RecordRequest) -> None:
         raise InputError(what, "--rate", f"use --rate {TICK_HZ} or less, or a board with stickslip firmware")
     if request.decoder is not None and request.decoder not in MODES:
         what = f"a QSB has no decoder {request.decoder!r}"
-        raise InputError(what, "--decoder", f"give {' or '.join(MODES)}")
+        raise InputError(what, "--decoder", f"use {' or '.join(MODES)}")
     if request.columns is not None:
         raise InputError(
             "the records of a QSB have fixed columns", "--columns", "omit it; it applies only to the protocol 'text'"

@@ -269,7 +269,7 @@ def _open(path: Path) -> BinaryIO:
         raise make_missing_error(path)
     if path.is_dir():
         raise make_folder_error(path)
-    return open_regular(path, "give a journal")
+    return open_regular(path, "use a journal")
 
 
 def _read(path: Path, content: Content) -> Journal:

@@ -103,7 +103,13 @@ def _cycles(path: str) -> tree.Tree:
         tree.table(path, "t", "static_level", title, auxiliary=("kinetic_scale",), optional=True),
         Field(f"{path}/t", "f8[c]", "s", "of the break-away", "events.t"),
         Field(f"{path}/static_level", "f8[c]", "", "friction at break-away relative to Fs", "events.break_away_level"),
-        Field(f"{path}/kinetic_scale", "f8[c]", "", "friction in the slip relative to that of the law", "events.kinetic_scale"),
+        Field(
+            f"{path}/kinetic_scale",
+            "f8[c]",
+            "",
+            "friction in the slip relative to that of the law",
+            "events.kinetic_scale",
+        ),
         Field(f"{path}/used", "u1[c]", "", "1 if the cycle was fitted", value=_used),
     )
 

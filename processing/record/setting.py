@@ -31,7 +31,7 @@ def parse_window(window: int | str, order: int | None, series: Series) -> Settin
     or an order outside 1 to 20.
     """
     if order is not None and not 1 <= order <= HIGHEST_ORDER:
-        raise InputError(f"order is {order}", "--order", f"give 1 to {HIGHEST_ORDER}")
+        raise InputError(f"the order is {order}", "--order", f"it must be from 1 to {HIGHEST_ORDER}")
     typed = window.strip() if isinstance(window, str) else window
     if typed == "auto":
         return Setting(None, order)

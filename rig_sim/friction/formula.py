@@ -365,7 +365,7 @@ class _Parser:
         needed = FUNCTIONS[token.text]
         if takes < needed or (needed == 1 and takes > 1):
             problem = f"{token.text} has {takes} argument{'s' * (takes != 1)}"
-            self._fail(problem, token.column, "give one" if needed == 1 else "pass two or more")
+            self._fail(problem, token.column, "pass one" if needed == 1 else "pass two or more")
         self.steps.append(Operation(token.text, token.column, takes))
 
     def _parse_close(self, opened: Token) -> None:

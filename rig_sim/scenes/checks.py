@@ -58,7 +58,7 @@ def check_together(scene: Scene, where: str) -> None:
         for key in friction.law_record().parameters if is_speed_law else ():
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key
-                raise InputError(f"law {friction.law} requires friction.{name}", where, f"give {name}")
+                raise InputError(f"law {friction.law} requires friction.{name}", where, f"set {name}")
     _check_formula_values(scene, where)
     if scene.joint is not None and (scene.belt is None or scene.belt.length is None):
         raise InputError("the section joint requires belt.length", where, "set the length of one turn of the belt")
@@ -129,7 +129,7 @@ def _check_memory(scene: Scene, friction: Friction, where: str) -> None:
     parameters = friction.memory_parameters()
     if missing := [name for name, value in parameters.items() if value is None]:
         units = ", ".join(f"{name} in {si_unit(law.parameters[name].dimension)}" for name in missing)
-        raise InputError(f"law {friction.law} requires friction.{missing[0]}", where, f"give {units}")
+        raise InputError(f"law {friction.law} requires friction.{missing[0]}", where, f"set {units}")
     for name, value in parameters.items():
         parameter = law.parameters[name]
         if value is None or not math.isfinite(value) or value < 0.0 or (value == 0.0 and not parameter.may_be_zero):
@@ -165,7 +165,7 @@ def _check_formula(friction: Friction, where: str) -> None:
         if name not in friction.formula_values():
             others = [key for key in friction.model_fields_set if key not in {*OWN_KEYS, *names}]
             close = nearest(name, others) if others else ""
-            do = f"give {name}" + (f"; {close}" if close.startswith("did") else "")
+            do = f"set {name}" + (f"; {close}" if close.startswith("did") else "")
             raise InputError(f"the formula requires friction.{name}", where, do)
     if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
         raise InputError("a ramp requires friction.d", where, "set friction.d, or remove friction.contact")

@@ -284,7 +284,7 @@ def _explain_usage(error: cyclopts.CycloptsError, name: str, words: Sequence[str
             hint = f"as in '{example[1]}'"
     elif isinstance(error, cyclopts.CoercionError) and error.token is not None and error.target_type in (int, float):
         kind = "whole number" if error.target_type is int else "number"
-        what, hint = f"{error.token.keyword} is {error.token.value!r}, not a {kind}", f"give a {kind}"
+        what, hint = f"{error.token.keyword} is {error.token.value!r}, not a {kind}", f"use a {kind}"
     return StickslipError(what, "command line", "; ".join(filter(None, [hint, f"see '{command} --help'"])))
 
 

@@ -319,8 +319,8 @@ def test_rank_each_in_processes_of_recordings_in_memory(folder, alone):
     ("runs", "keywords", "said"),
     [
         ("run.h5", {}, "one run; give a list of runs"),
-        ([], {}, "no run; give files"),
-        ([1.0], {}, "some of the arguments are not runs; give files"),
+        ([], {}, "no run; pass files"),
+        ([1.0], {}, "some of the arguments are not runs; pass files"),
         (["run.h5"], {"jobs": 0}, "jobs is 0; it must be 1 or more"),
         (["run.h5"], {"mass": 1.0, "stiffness": 1.0}, "mass and stiffness together"),
         (["run.h5"], {"laws": 9}, "9"),

@@ -181,7 +181,7 @@ def test_a_strangers_file_is_not_replaced(run, tmp_path, flag, text, said):
 
 def test_the_run_itself_is_not_replaced(run, tmp_path):
     own = shutil.copy(run, tmp_path / "run")
-    with pytest.raises(InputError, match="own source"):
+    with pytest.raises(InputError, match="also an input"):
         command.fit(own, csv=own)
 
 

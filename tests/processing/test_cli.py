@@ -67,7 +67,7 @@ def test_settings_are_carried_out(typed, path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--window", "40"], "--window: window is 40; need an odd number above order 4; use 41"),
+        (["--window", "40"], "--window: the window must be an odd number above the order (4), not 40; use 41"),
         (["--window", "broad"], "--window: window is 'broad'"),
         (["--method", "spline"], "--method: method is 'spline'; known: auto, segment, rts, sg, fd"),
         (["--times", "guessed"], "--times: times is 'guessed'; known: recorded, nominal"),
@@ -108,7 +108,7 @@ def test_compare_states_true_errors_only_where_truth_was_recorded(typed, path, t
         assert row["sigma_v"] > 0
     code, out, _ = typed("compare", silent)
     assert code == 0
-    assert "contains no exact motion" in out
+    assert "does not contain the exact motion" in out
 
 
 def test_smoothing_does_not_look_at_the_truth(typed, path, tmp_path, motion, run_data):

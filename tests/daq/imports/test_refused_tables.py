@@ -83,7 +83,7 @@ TEXTS = [
         {"position": "X", "x_unit": "1 mm"},
         ["frame numbers but no times"],
     ),
-    ("clock,x\n23:59:59.500,0\n23:59:59.750,1\n", {"time": "clock"}, ["times of day such as 23:59:59.500; give clock"]),
+    ("clock,x\n23:59:59.500,0\n23:59:59.750,1\n", {"time": "clock"}, ["times of day such as 23:59:59.500; pass clock"]),
     (
         "t,x\n25-Mar-2026 10:00:01,1\n27-Mar-2026 10:00:02,2\n",
         {"clock": True},
@@ -95,19 +95,19 @@ TEXTS = [
     ),
     (TWO, {"start": "yesterday"}, ["--start", "zone"]),
     # Options.
-    (TWO, {"xunit": "cm"}, ["no option 'xunit' of a table; did you mean 'x_unit'?"]),
+    (TWO, {"xunit": "cm"}, ["'xunit' is not an option for tables; did you mean 'x_unit'?"]),
     (TWO, {"mass": "heavy"}, ["'heavy' is not a valid mass; write it like '300 g'"]),
-    (TWO, {"spring_force": "F", "position": "x"}, ["excludes --position"]),
+    (TWO, {"spring_force": "F", "position": "x"}, ["cannot be combined with --position"]),
     ("t (s),F (N)\n0,1\n1,2\n", {"spring_force": "F"}, ["spring_force without the spring's stiffness"]),
-    (TWO, {"force_unit": "N"}, ["without --spring-force"]),
-    (TWO, {"clock": True, "t_unit": "s"}, ["exclude each other"]),
+    (TWO, {"force_unit": "N"}, ["requires --spring-force"]),
+    (TWO, {"clock": True, "t_unit": "s"}, ["cannot be combined"]),
     (TWO, {"preamble": -1}, ["--preamble"]),
     (TWO, {"belt_unit": "mm"}, ["belt_unit without belt_column"]),
     # What a count is.
     (
         COUNT,
         {"counts_per_rev": 100},
-        ["counts_per_rev without circumference; give circumference too, or metres_per_count"],
+        ["counts_per_rev without circumference; add circumference, or use metres_per_count"],
     ),
     (COUNT, {"circumference": "1 mm"}, ["circumference without counts_per_rev"]),
     (
@@ -250,7 +250,7 @@ FILES = [
     (lambda path: path / "none.csv", {}, "no such file; check the path"),
     (sparse, {}, "a table has at most 268 MB"),
     (content("a.csv", b"\n" * (source.MOST_LINES + 1)), {}, "8,388,609 lines; a table has at most 8,388,608"),
-    (content("a.csv", (b"1," * 4999 + b"1\n") * 3), {}, "5,000 columns; a table has at most 4,096"),
+    (content("a.csv", (b"1," * 4999 + b"1\n") * 3), {}, "5,000 columns, but a table may have at most 4,096"),
     (content("a.csv", HDF5 + bytes(64)), {}, "HDF5"),
     (stored_elsewhere, {}, "reads its data from another file"),  # any file of the reader's became positions
     (external_link, {}, "is a link to another file"),
@@ -299,8 +299,8 @@ FILES = [
         {"belt_column": "belt"},
         "has no unit: is it the position or the speed of the belt?; give belt_unit",
     ),
-    (text(LENGTHS), {"belt_column": "belt", "belt_unit": "kg"}, "'kg' is a unit of neither"),
-    (text(LENGTHS), {"belt_column": "z"}, "'N' is a unit of neither"),
+    (text(LENGTHS), {"belt_column": "belt", "belt_unit": "kg"}, "'kg' is not a unit of length or speed"),
+    (text(LENGTHS), {"belt_column": "z"}, "'N' is not a unit of length or speed"),
 ]
 
 

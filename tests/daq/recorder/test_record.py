@@ -307,10 +307,10 @@ def test_what_the_recorder_itself_could_not_keep_is_counted(take, monkeypatch):
     found, _ = take(board(), samples=2000)
     assert found.dropped_bytes > 0
     assert found.samples + found.lost <= 2000
-    assert any("could not keep up" in warning for warning in found.warnings)
+    assert any("was too slow" in warning for warning in found.warnings)
 
 
-@pytest.mark.parametrize(("sent", "said"), [(b"", "no reply"), (b"Hello from setup()\r\n", "something else")])
+@pytest.mark.parametrize(("sent", "said"), [(b"", "did not reply"), (b"Hello from setup()\r\n", "other bytes")])
 def test_a_port_without_a_board_is_a_device_error_and_leaves_nothing(tmp_path, take, sent, said):
     other = board()
     other.out = b""

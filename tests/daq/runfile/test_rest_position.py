@@ -19,12 +19,12 @@ def test_a_rest_position_far_outside_the_travel_is_asked_about_at_any_scale(scal
 def test_the_question_names_the_travel_and_the_sign() -> None:
     asked = question_rest_position(Measured(-0.18), LOW, HIGH)
     assert asked.startswith(
-        "x0 (-180 mm) is 200 mm outside the travel of 20 to 60 mm; are its sign and its unit correct?"
+        "x0 (-180 mm) is 200 mm outside the travel of 20 to 60 mm. Are its sign and its unit correct?"
     )
     assert "8.3 % of Fs" in asked  # travel over twice the stretch at the break-away, 40 mm / (2 * 240 mm)
     asked = question_rest_position(Measured(-0.05), LOW, HIGH)
     assert asked.startswith(
-        "x0 (-50 mm) is 70 mm outside the travel of 20 to 60 mm, and 50 mm lies inside it; is its sign"
+        "x0 (-50 mm) is 70 mm outside the travel of 20 to 60 mm, and 50 mm lies inside it. Is its sign"
     )
 
 

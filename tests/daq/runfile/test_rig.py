@@ -61,7 +61,7 @@ def test_absent_quantities_stay_unknown() -> None:
         ("[rig]\nmass = inf", ["mass is inf"]),
         ("[rig]\nmass = '1 kg'", ["rig.mass", "'1 kg'", "SI"]),
         ("[rig]\nmass = true", ["rig.mass", "True"]),
-        ("[rig]\nmass_sd = 1", ["mass_sd is given without"]),
+        ("[rig]\nmass_sd = 1", ["mass_sd requires"]),
         ("[rig]\nmass = 1\nmass_sd = -1", ["mass_sd is -1"]),
         ("[encoder]\nmetres_per_count = 0", ["not zero"]),
         ("[encoder]\ndecoder = 'x3'", ["'x3'", "did you mean"]),

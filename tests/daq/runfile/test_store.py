@@ -360,7 +360,7 @@ def test_a_stage_that_fails_leaves_the_file_as_it_was(path: Path) -> None:
 def test_an_existing_file_is_refused_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     path.write_text("precious")
-    with pytest.raises(InputError, match="exists; give another name, or force=True"):
+    with pytest.raises(InputError, match="exists; choose another name, or force=True"):
         store.write(path, run())
     assert path.read_text() == "precious"
     store.write(path, run(), force=True)

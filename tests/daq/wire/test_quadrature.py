@@ -136,7 +136,7 @@ def test_levels_and_phase_are_each_others_inverse():
         (lambda: Decoder("x4").feed(np.array([0, 4])), "sample 1"),
         (lambda: Decoder("x4").feed(np.array([0, 255, 1])), "sample 1"),
         (lambda: Decoder("x2"), "x4, x1, jk, jk-latched"),
-        (lambda: PulseDecoder().feed([0, 1], [1]), "need the same"),
+        (lambda: PulseDecoder().feed([0, 1], [1]), "must have the same shape"),
     ],
 )
 def test_what_cannot_be_decoded_is_refused(decode, words):

@@ -80,18 +80,22 @@ def test_a_window_is_read_as_people_write_it(imported, text, samples):
 @pytest.mark.parametrize(
     ("window", "order", "message"),
     [
-        (40, 4, "window is 40; need an odd number above order 4; use 41"),
-        ("40", None, "window is 40; need an odd number above order 4"),
-        ("3", None, "window is 3; need an odd number above order 4; use 5"),
-        ("2ms", None, "window is 3; need an odd number above order 4"),
-        ("0.2ms", None, "less than two sample intervals"),
+        (40, 4, "the window must be an odd number above the order (4), not 40; use 41"),
+        ("40", None, "the window must be an odd number above the order (4), not 40"),
+        ("3", None, "the window must be an odd number above the order (4), not 3; use 5"),
+        ("2ms", None, "the window must be an odd number above the order (4), not 3"),
+        ("0.2ms", None, "is shorter than two sample intervals"),
         ("wide", None, "window is 'wide'; use 'auto', an odd number of samples, or a duration such as 20ms"),
-        ("4.5", None, "give a whole number of samples, or a unit"),
-        ("101", None, "the longest stretch of the record has 100"),
-        ("1e9ms", None, "window is 1e9ms; the longest stretch of the record lasts 0.1 s; give a shorter one"),
-        ("1e400s", None, "window is 1e400s; the longest stretch of the record lasts 0.1 s"),
-        ("auto", 0, "order is 0; give 1 to 20"),
-        ("auto", 21, "order is 21; give 1 to 20"),
+        ("4.5", None, "use a whole number of samples, or a duration"),
+        ("101", None, "the longest uninterrupted part of the record has 100"),
+        (
+            "1e9ms",
+            None,
+            "the longest uninterrupted part of the record lasts 0.1 s; choose a shorter window",
+        ),
+        ("1e400s", None, "the window is 1e400s long, but the longest uninterrupted part of"),
+        ("auto", 0, "the order is 0; it must be from 1 to 20"),
+        ("auto", 21, "the order is 21; it must be from 1 to 20"),
     ],
 )
 def test_an_impossible_window_is_refused_with_the_remedy(imported, window, order, message):

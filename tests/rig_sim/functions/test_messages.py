@@ -46,11 +46,11 @@ MISTAKES = [
         lambda: rig_sim.continue_("damped", over="c=1:2"),
         "write over='damper.c=0.3:0.6:31', or over=('damper.c', values)",
     ),
-    (lambda: rig_sim.continue_("damped", over=("damper.c", [1.0])), "over: 1 values; give 2 to"),
+    (lambda: rig_sim.continue_("damped", over=("damper.c", [1.0])), "over: 1 values; use 2 to"),
     (lambda: rig_sim.continue_("damped", over="damper.c=0.3:0.6", draws=5), "fitting.rank(run).save_scene(path)"),
     (lambda: rig_sim.map("base", d=0.1), "write rig_sim.scene('base', coupling={'a': 1.2, 'b': 1.3})"),
     (lambda: rig_sim.map("two-mass", d="much"), "d: 'much' contains something that is not a number"),
-    (lambda: rig_sim.basins("two-mass", cells=1), "cells: is 1; give 2 to"),
+    (lambda: rig_sim.basins("two-mass", cells=1), "cells: is 1; use 2 to"),
     (lambda: rig_sim.basins(rig_sim.FormulaMap([1.0, 1.0])), "write super().__init__(..., interval=(lo, hi))"),
     (lambda: rig_sim.lyapunov("two-mass", events=3), "events: is 3; give 20 to"),
     (lambda: rig_sim.lyapunov("base"), "write rig_sim.scene('base', **{'drive.u0': 0.2, 'drive.omega': 1.6})"),
@@ -67,7 +67,7 @@ MISTAKES = [
     (lambda: rig_sim.lock("forced", period=0, budget=0.1), "period: is 0; give 1 to 100 landings"),
     (lambda: rig_sim.lock("forced", period=1, budget="little"), "budget: is 'little'; give a number"),
     (lambda: rig_sim.shaker(m=-1, k=1, c=0, gamma=0, a=0, phi=0), "m: is -1; give a number above 0"),
-    (lambda: rig_sim.shaker(m=1, k=1, c=0, gamma=0, a=0, phi=0, band=3), "give (low, high) in rad/s"),
+    (lambda: rig_sim.shaker(m=1, k=1, c=0, gamma=0, a=0, phi=0, band=3), "use (low, high) in rad/s"),
 ]
 
 
