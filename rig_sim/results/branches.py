@@ -155,16 +155,16 @@ def continue_(
     Parameters
     ----------
     scene : str, Path, Scene or callable
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
-        `rig_sim.scene` returns, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap` of an
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result
+        of `rig_sim.scene`, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap` of an
         interval.
     over : str or (str, sequence of float)
         'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41).  In Python also a key and
         its values.
     draws : int, optional
         Compute a 95 % interval of each special point from this number of draws of the parameters.  The section ``fit``
-        of the scene, which ``fit-friction --save-scene`` writes, has their covariance.  A parameter that no longer has
-        its fitted value is not drawn.  In Python `fitting.rank(...).save_scene(path)` writes it.
+        of the scene, which ``fit-friction --save-scene`` writes, contains their covariance.  A parameter that no longer
+        has its fitted value is not drawn.  In Python `fitting.rank(...).save_scene(path)` writes it.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 

@@ -71,7 +71,7 @@ def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass.  In Python also what `rig_sim.scene`
+        Scene of one mass: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also what `rig_sim.scene`
         returns.
     until : float or str
         End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').

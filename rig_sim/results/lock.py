@@ -192,8 +192,8 @@ def lock(
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass with a drive.  In Python also what
-        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` whose `step` takes changes of its parameter.
+        Scene of one mass with a drive: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the
+        result of `rig_sim.scene`, or a `rig_sim.FormulaMap` whose `step` takes changes of its parameter.
     period : int
         Number of landings in one period of the orbit, 1 to 100.
     budget : float

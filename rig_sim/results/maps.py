@@ -244,8 +244,8 @@ def map(
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses.  In Python also what
-        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` of an interval, whose x is ``d``.
+        Scene of two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result of
+        `rig_sim.scene`, or a `rig_sim.FormulaMap` of an interval, whose x is ``d``.
     d : float or sequence of float, optional
         Value of d while both masses stick, in m, or several values such as 0.05,0.1.
     iterate : int
@@ -325,8 +325,8 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses.  In Python also what
-        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` of an interval.
+        Scene of two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result of
+        `rig_sim.scene`, or a `rig_sim.FormulaMap` of an interval.
     cells : int
         Number of cells into which the interval is divided.
     progress : callable, optional
@@ -371,8 +371,8 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses with ``start.d`` or ``start.attractor``,
-        or of a driven mass.  In Python also what `rig_sim.scene` returns, or a `rig_sim.FormulaMap`.
+        Scene of two masses with ``start.d`` or ``start.attractor``, or of a driven mass: a built-in name (see ``rig-sim
+        scenes``) or a TOML file.  In Python also the result of `rig_sim.scene`, or a `rig_sim.FormulaMap`.
     events : int
         Number of events (global sticks, landings or steps) over which the mean is taken.
     progress : callable, optional

@@ -186,8 +186,8 @@ def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, ma
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
-        `rig_sim.scene` returns.
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result
+        of `rig_sim.scene`.
     until : float or str
         End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     since : float or str
@@ -239,8 +239,8 @@ def run(
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
-        `rig_sim.scene` returns.
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result
+        of `rig_sim.scene`.
     until : float or str
         End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     rate : float or str

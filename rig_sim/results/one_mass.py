@@ -108,8 +108,8 @@ def cycle(scene: SceneLike) -> Cycle:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file.
-        In Python also what `rig_sim.scene` returns.
+        Scene: a built-in name (see ``rig-sim scenes``) or a TOML file.
+        In Python also the result of `rig_sim.scene`.
 
     Returns
     -------
@@ -143,8 +143,8 @@ def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  Its start is ignored.
-        In Python also what `rig_sim.scene` returns.
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.
+        In Python also the result of `rig_sim.scene`.
 
     Returns
     -------
@@ -182,8 +182,8 @@ def floquet(scene: SceneLike, orbit: Literal["stable", "unstable"] = "stable") -
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.  In Python also
-        what `rig_sim.scene` returns.
+        Scene: a built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.  In Python also
+        the result of `rig_sim.scene`.
     orbit : str
         The orbit that is reached from break-away ('stable'), or the one that separates it from the fixed point
         ('unstable').

@@ -109,8 +109,8 @@ def quench(scene: SceneLike, *, progress: Stages = silent) -> Quench:
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass with a drive.  In Python also what
-        `rig_sim.scene` returns.
+        Scene of one mass with a drive: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the
+        result of `rig_sim.scene`.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 

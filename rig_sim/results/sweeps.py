@@ -127,14 +127,15 @@ def sweep(
 
     Attractor 1 has the largest basin at the first value; at the next values, the numbers follow the attractors.  For
     two masses, the starts cover all values of d = x2 - x1 in a global stick.  A motion without a global stick counts as
-    an additional attractor, with points only in the section 'poincare'.  For a driven mass, the starts are that of the
-    scene, the mass at rest on the moving belt, and eight starts in stick, which cover the drive phases of break-away.
+    an additional attractor, with points only in the section 'poincare'.  For a driven mass there are ten starts: that
+    of the scene, the mass at rest on the moving belt, and eight sticks that end at different phases of the drive.
 
     Parameters
     ----------
     scene : str, Path, Scene or callable
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses or a driven one.  In Python also what
-        `rig_sim.scene` returns, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap`.
+        Scene of two masses or of a driven mass: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python
+        also the result of `rig_sim.scene`, or a function that returns, for a value of the parameter, a
+        `rig_sim.FormulaMap`.
     over : str or (str, sequence of float)
         'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41).  In Python also a key and
         its values.

@@ -373,7 +373,7 @@ def test_bad_lines_are_counted_and_left_out_on_request(csv, app, capsys):
 @pytest.mark.parametrize(
     ("t_size", "x_size", "question", "answer"),
     [
-        (1, 1e3, "--x-unit mm?", {"x_unit": "mm"}),
+        (1, 1e3, "--x-unit mm", {"x_unit": "mm"}),
         (1, 1e2, "--x-unit cm?", {"x_unit": "cm"}),
         (1e3, 1, "--t-unit ms?", {"t_unit": "ms"}),
         (1e6, 1, "--t-unit us?", {"t_unit": "us"}),
