@@ -42,7 +42,7 @@ def measure_pitch(run: Recording, distance: Measured) -> Measured:
     start = count[:n] if stands_at_first(run) else count[:1]
     moved = float(np.mean(end) - np.mean(start))
     if abs(moved) < 10:
-        what = f"the mass moved by {moved:.3g} counts, which is too small a distance"
+        what = f"the mass moved by only {moved:.3g} counts"
         raise DataError(what, "distance", "move it farther, and see 'daq check' for the encoder")
     value = distance.value / moved
     return Measured(value, abs(value) * math.hypot(distance.sd / distance.value, math.sqrt(2) * CELL / moved))
