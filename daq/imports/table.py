@@ -145,7 +145,7 @@ class Table:
         """Return the numbers in a row, why it cannot be read ("" where it can), and the column that cannot."""
         if len(row) != self.width:
             columns = "1 column" if len(row) == 1 else f"{len(row)} columns"
-            return [], f"has {columns} columns, but the others have {self.width}", None
+            return [], f"has {columns}, but the others have {self.width}", None
         cells: list[float] = []
         for column, reader, kind in readers:
             value = reader(row[column])

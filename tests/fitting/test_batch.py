@@ -318,7 +318,7 @@ def test_rank_each_in_processes_of_recordings_in_memory(folder, alone):
 @pytest.mark.parametrize(
     ("runs", "keywords", "said"),
     [
-        ("run.h5", {}, "one run; give a list of runs"),
+        ("run.h5", {}, "one run; pass a list of runs"),
         ([], {}, "no run; pass files"),
         ([1.0], {}, "some of the arguments are not runs; pass files"),
         (["run.h5"], {"jobs": 0}, "jobs is 0; it must be 1 or more"),

@@ -85,7 +85,7 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
         ({"law": ["mine: Fs/(1+g*v_rel)"]}, "did you mean s for v_rel"),
         ({"law": ["mine: Fs*exp(-velocity/v_s)"]}, "did you mean s for velocity"),
         ({"law": ["mine: v"]}, "did you mean s for v"),
-        ({"law": ["mine: Fs - Fc"]}, "law 1 is constant friction"),
+        ({"law": ["mine: Fs - Fc"]}, "for constant friction use law 1"),
         ({"law": ["mine: Fs/(1+g*\uff53)"]}, "fullwidth latin small letter s"),
         ({"law": ["mine: Fs/(1+g*\u0455)"]}, "cyrillic small letter dze.*did you mean s"),
         ({"law": ["mine: F\u0441 - b*s"]}, "cyrillic small letter es.*did you mean Fc"),
@@ -161,7 +161,7 @@ def test_an_end_that_is_not_given_is_that_of_the_law(given, bounds):
 
 @pytest.mark.parametrize(("name", "formula"), [("7", "Fs"), ("5", "Fs"), ("6", "Fs/(1 + gamma*s)")])
 def test_a_number_is_the_name_of_one_of_the_six_alone(name, formula):
-    with pytest.raises(InputError, match="is no name of a law"):
+    with pytest.raises(InputError, match="is not a valid name for a law"):
         Law(name, formula)
 
 

@@ -9,7 +9,7 @@ from stickslip.errors import InputError
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"start": {"vs": 0.1}}, "vs is no parameter"),
+        ({"start": {"vs": 0.1}}, "law .* has no parameter vs"),
         ({"bounds": {"v_s": (0.2, 0.1)}}, "bounds of v_s"),
         ({"bounds": {"v_s": (0.0, None)}, "start": {"v_s": -1.0}}, "v_s is -1"),
         ({"fix": {"v_s": float("nan")}}, "v_s is nan"),
@@ -22,7 +22,7 @@ def test_values_that_cannot_be_are_refused(changes, said):
 
 @pytest.mark.parametrize("name", ["5", "my law", "a.b", ""])
 def test_a_name_is_a_word(name):
-    with pytest.raises(InputError, match="no name of a law"):
+    with pytest.raises(InputError, match="not a valid name for a law"):
         Law(name, "Fs")
 
 

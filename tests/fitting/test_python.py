@@ -164,7 +164,7 @@ def test_covariance_has_the_standard_errors_of_the_parameters(ranking):
 def test_a_fixed_parameter_has_no_covariance_and_no_profile(run):
     found = fitting.rank(run, laws=5, fix={"gamma": 9.6})
     assert "gamma" not in found.covariance
-    with pytest.raises(StickslipError, match="gamma is fixed; name a parameter that is fitted"):
+    with pytest.raises(StickslipError, match="gamma is fixed; choose a fitted parameter"):
         found.best.profile("gamma")
 
 
@@ -258,7 +258,7 @@ MISTAKES = [
         "fix: none of the fitted laws has a parameter gama; did you mean",
     ),
     (lambda run: fitting.rank(run, fix=[("gamma", 10)]), "write fix={'gamma': 9.6}"),
-    (lambda run: fitting.rank(run, fix={"gamma": "10"}), "fix: of gamma is '10'; give a dictionary"),
+    (lambda run: fitting.rank(run, fix={"gamma": "10"}), "fix: the value of gamma is '10'; write fix="),
     (lambda run: fitting.rank(run, bounds={"gamma": 10}), "as in bounds={'gamma': (0, 20)}"),
     (lambda run: fitting.rank(run, bounds={"gamma": (10, 5)}), "bounds: bounds of gamma are 10 and 5"),
     (lambda run: fitting.rank(run, bounds={"gamma": (5, 10)}, start={"gamma": 20}), "start: gamma is 20, not within"),
@@ -269,21 +269,21 @@ MISTAKES = [
     (lambda run: fitting.rank(run, belt_speed="fast"), "belt_speed: "),
     (lambda run: fitting.rank(run, belt_speed="channel"), "belt_speed: the run has no belt counts"),
     (lambda run: fitting.rank(run, laws=()), "no law was requested"),
-    (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; give a number"),
+    (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; it must be a number"),
     (lambda run: fitting.rank(run, alpha=0.0), "alpha: alpha is 0"),
     (lambda run: fitting.rank(run, alpha=1e-300), "alpha: alpha is 1e-300"),
     (lambda run: fitting.rank(run, jobs=0), "jobs: jobs is 0; it must be 1 or more"),
-    (lambda run: fitting.rank(run, begin=3), "fitting.rank('run.h5', begin=5), or cut the arrays"),
+    (lambda run: fitting.rank(run, begin=3), "fitting.rank('run.h5', begin=5), or slice the arrays"),
     (lambda run: fitting.rank(RUN, begin=30), "choose other times with begin and end"),
     (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles cannot be excluded from a joint fit"),
     (lambda run: fitting.rank([run, run], belt_speed=0.2), "several runs"),
-    (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; give one for all"),
+    (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; pass one rig for all"),
     (lambda run: fitting.rank(run.time, np.arange(6000)), "daq.Recording.from_arrays(time, counts, metres_per_count="),
     (lambda run: fitting.Law("mine", "Fs/(1 + s/v"), "formula: this bracket is not closed; add a )"),
     (lambda run: fitting.Law("mine", "Fc + foo(s)"), "formula: unknown function foo; known: exp, log"),
     (
         lambda run: fitting.Law("mine", MINE, start={"v": 1}),
-        "start: v is no parameter of law mine; did you mean 'v_s'?",
+        "start: law mine has no parameter v; did you mean 'v_s'?",
     ),
     (lambda run: fitting.Law("mine", abs), 'write fitting.Law("mine", "Fs/(1 + s/v_s)")'),
 ]

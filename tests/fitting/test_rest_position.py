@@ -89,7 +89,7 @@ def test_the_printed_value_stated_again_changes_nothing(bare, fitted):
 def test_a_wrong_sign_is_asked_about(bare, fitted):
     """It was taken without a word: another law, exit code 0, a friction level six times too large."""
     _, document = fitted(bare, "--x0", "-600 mm +- 0.5 mm")
-    (asked,) = (text for text in document["warnings"] if "is its sign correct?" in text)
+    (asked,) = (text for text in document["warnings"] if "Is its sign correct?" in text)
     assert asked.startswith("x0 (-600 mm) is ")
     assert "600 mm lies inside it" in asked
 

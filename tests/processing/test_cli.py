@@ -72,7 +72,7 @@ def test_settings_are_carried_out(typed, path):
         (["--method", "spline"], "--method: method is 'spline'; known: auto, segment, rts, sg, fd"),
         (["--times", "guessed"], "--times: times is 'guessed'; known: recorded, nominal"),
         (["--belt-speed", "fast"], "--belt-speed: 'fast' is not a valid speed"),
-        (["--order", "0"], "--order: order is 0; give 1 to 20"),
+        (["--order", "0"], "--order: the order is 0; it must be from 1 to 20"),
         (["--order", "two"], "see 'process smooth --help'"),
         (["--method", "rts", "--order", "4"], "rts has no window"),
         (["--repair-counts", "yes"], "--repair-counts: is 'yes'; known: off, flag, fix"),

@@ -43,7 +43,7 @@ TEXTS = [
     ("t,x\n0,1\n1,2\n1,3\n", {}, ["line 4", "does not increase", "1 s after 1 s"]),
     ("t,x\n\n0,1\n# note\n2,2\n1,3\n", {}, ["line 6", "does not increase"]),
     ("t,x\n0,1\n1,2,3\n2,3\n", {}, ["line 3", "3 columns"]),
-    ("t (s),x (m)\n0,1\n1,2\n2,3\n3\n", {}, ["has 1 column where the others have 2"]),
+    ("t (s),x (m)\n0,1\n1,2\n2,3\n3\n", {}, ["has 1 column, but the others have 2"]),
     ("t,x\n0,10,1,25\n0,20,1,50\n", {}, ["line 1", "2 columns", "have 4", "semicolons"]),
     ("t,x\n0,1\n", {}, ["single sample"]),
     ("t,x\n", {}, ["has no numbers"]),
@@ -68,7 +68,7 @@ TEXTS = [
         ["which column is 'x': 'x' (column 2), 'x' (column 3)?; give position=NUMBER"],
     ),
     ("t,x (m),x (mm)\n0,1,1\n1,2,2\n", {"position": "x"}, ["which column is 'x'"]),
-    ("ms,x,y\ns,m,m\n0,1,1\n1,2,2\n", {"position": "x"}, ["'ms' has the name of a unit, and its unit is stated as s"]),
+    ("ms,x,y\ns,m,m\n0,1,1\n1,2,2\n", {"position": "x"}, ["'ms' is named like a unit, but its unit is stated as s"]),
     # Units.
     ("t,x (px)\n0,1\n1,2\n", {}, ["'px'", "--x-unit", "0.25 mm"]),
     (TWO, {"x_unit": "kg"}, ["--x-unit", "'kg'"]),
@@ -87,7 +87,7 @@ TEXTS = [
     (
         "t,x\n25-Mar-2026 10:00:01,1\n27-Mar-2026 10:00:02,2\n",
         {"clock": True},
-        ["line 3", "not a time of day, with a date such as 2026-03-27"],
+        ["line 3", "with or without a date such as 2026-03-27"],
     ),
     *(
         ("x\n1\n2\n3\n", {"frame_rate": rate}, ["--frame-rate"])
@@ -98,7 +98,7 @@ TEXTS = [
     (TWO, {"xunit": "cm"}, ["'xunit' is not an option for tables; did you mean 'x_unit'?"]),
     (TWO, {"mass": "heavy"}, ["'heavy' is not a valid mass; write it like '300 g'"]),
     (TWO, {"spring_force": "F", "position": "x"}, ["cannot be combined with --position"]),
-    ("t (s),F (N)\n0,1\n1,2\n", {"spring_force": "F"}, ["spring_force without the spring's stiffness"]),
+    ("t (s),F (N)\n0,1\n1,2\n", {"spring_force": "F"}, ["spring_force requires the stiffness of the spring"]),
     (TWO, {"force_unit": "N"}, ["requires --spring-force"]),
     (TWO, {"clock": True, "t_unit": "s"}, ["cannot be combined"]),
     (TWO, {"preamble": -1}, ["--preamble"]),
@@ -116,12 +116,12 @@ TEXTS = [
         ["counts_per_rev: is 0; use a positive whole number"],
     ),
     (COUNT, {"counts_per_rev": 9, "circumference": 0}, ["metres_per_count is 0; it must be not zero"]),
-    (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["give one or the other"]),
+    (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["use one or the other"]),
     (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit with metres per count"]),
     (
         COUNT,
         {"metres_per_count": 1e-6},
-        ["is a length, and metres per count are given; omit metres_per_count"],
+        ["is a length, but metres per count are given; omit metres_per_count"],
     ),
 ]
 
@@ -248,8 +248,8 @@ FILES = [
     (device, {}, "is a device, not a file"),  # filled the memory
     (folder, {}, "is a folder"),
     (lambda path: path / "none.csv", {}, "no such file; check the path"),
-    (sparse, {}, "a table has at most 268 MB"),
-    (content("a.csv", b"\n" * (source.MOST_LINES + 1)), {}, "8,388,609 lines; a table has at most 8,388,608"),
+    (sparse, {}, "a table may have at most 268 MB"),
+    (content("a.csv", b"\n" * (source.MOST_LINES + 1)), {}, "8,388,609 lines, but a table may have at most 8,388,608"),
     (content("a.csv", (b"1," * 4999 + b"1\n") * 3), {}, "5,000 columns, but a table may have at most 4,096"),
     (content("a.csv", HDF5 + bytes(64)), {}, "HDF5"),
     (stored_elsewhere, {}, "reads its data from another file"),  # any file of the reader's became positions

@@ -339,7 +339,7 @@ def test_a_rest_position_far_from_the_travel_is_asked_about(csv, app, capsys, fl
     assert application.run(app, line) == 0
     (asked,) = json.loads(capsys.readouterr().out)["warnings"]
     assert "x0 (-5 m) is" in asked
-    assert "are its sign and its unit correct?" in asked
+    assert "Are its sign and its unit correct?" in asked
 
 
 def test_the_start_is_the_files_date_unless_given(csv):

@@ -161,7 +161,7 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
         ("t_us,count,count", "twice"),
         ("t_us,up:16,down", "different widths"),
         ("t_us,count:12", "not a valid counter width"),
-        ("t_us,count,a", "only one of two levels"),
+        ("t_us,count,a", "only one of the two logic levels"),
         ("t_us,x_in", "unknown column 'x_in'"),
         ("t_us,x_mm:12", "'x_mm:12' is not a valid number of decimals; write x_mm:2 for two decimals; at most 9"),
         ("t_us,x_mm,F_N", r"which columns are the counts\?"),
@@ -330,9 +330,13 @@ COUNTS = "t_us,count"
     ("columns", "line", "said"),
     [
         # Columns or labels are needed.
-        (None, lambda k: b"t=%d,foo=%d\n" % (k, k), "labels t, foo: none is a position; label .* pos, position, count"),
-        (None, lambda k: b"x=%d,pos=%d\n" % (k, k), "labels x, pos: none is a time; .* micros"),
-        (None, lambda k: b"t=%d,pos=1,count=2\n" % k, "more than one is a position; .* --columns"),
+        (
+            None,
+            lambda k: b"t=%d,foo=%d\n" % (k, k),
+            "labels t, foo, but none of them is a position; label .* pos, position, count",
+        ),
+        (None, lambda k: b"x=%d,pos=%d\n" % (k, k), "labels x, pos, but none of them is a time; .* micros"),
+        (None, lambda k: b"t=%d,pos=1,count=2\n" % k, "more than one of them is a position; .* --columns"),
         (None, lambda k: b"%d,1\n" % k, "no columns are declared; .* --columns t_us,up,down"),
         (None, lambda k: b"t=%d x=%d.04 y=3\n" % (2000 * k, k), "the position has no unit; .* t_us,x_mm"),
         (None, lambda k: b"(%d, %d.04)\n" % (2000 * k, k), "no columns are declared; .* --columns t_us,x_mm"),

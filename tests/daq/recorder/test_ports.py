@@ -40,7 +40,7 @@ def test_a_url_writes_to_no_file(tmp_path):
     other = tmp_path / "thesis.txt"
     other.write_text("three years of work")
     for url in (f"spy:///dev/ttyNONE7?file={other}", f"SPY://loop://?file={other}", f"alt://x?class={other}"):
-        with pytest.raises(InputError, match="is not a kind of port"):  # spy:// emptied the file
+        with pytest.raises(InputError, match="is not a supported kind of port"):  # spy:// emptied the file
             ports.open_port(url)
     assert other.read_text() == "three years of work"
 

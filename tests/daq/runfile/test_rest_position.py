@@ -12,7 +12,7 @@ LOW, HIGH = 0.02, 0.06
 def test_a_rest_position_far_outside_the_travel_is_asked_about_at_any_scale(scale: float) -> None:
     far = Measured(scale * (LOW - 1.01 * FAR * (HIGH - LOW)))
     near = Measured(scale * (LOW - 0.99 * FAR * (HIGH - LOW)))
-    assert "are its sign and its unit correct?" in question_rest_position(far, scale * LOW, scale * HIGH)
+    assert "Are its sign and its unit correct?" in question_rest_position(far, scale * LOW, scale * HIGH)
     assert question_rest_position(near, scale * LOW, scale * HIGH) == ""
 
 

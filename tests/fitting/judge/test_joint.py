@@ -179,7 +179,7 @@ def test_a_foreign_file_is_refused_before_a_joint_fit_and_replaced_by_force(file
     else:
         joint.write(place, [named[0], named[2]], lambda entry: None)
     before = place.read_bytes()
-    with pytest.raises(InputError, match="other runs" if content == "joint fit" else "not a joint fit"):
+    with pytest.raises(InputError, match="other runs" if content == "joint fit" else "not the file of a joint fit"):
         command.fit(*copies[:2], laws="5", no_report=True)
     assert place.read_bytes() == before
     joint.write(place, named[:2], lambda entry: None, force=True)

@@ -282,7 +282,7 @@ def test_a_scene_file_goes_into_the_url_percent_encoded(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("url", "words"),
     [
-        ("rig://", "names no scene"),
+        ("rig://", "does not name a scene"),
         ("rig://nosuch", "no built-in scene"),
         ("rig://base", "no encoder"),
         ("rig://rig?set=friction.gama%3D3", "friction.gama"),

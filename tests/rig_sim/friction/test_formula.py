@@ -198,7 +198,7 @@ FAULTS = [  # text, the caret's column, a word of what is said
     ("s if s else 1", 2, "operator is missing"),
     ("F = s", 2, "right-hand side"),
     ("s^2", 1, "write ** for powers"),
-    ("a*z; z' = 1 - s*z/D", 3, "write one curve of s"),
+    ("a*z; z' = 1 - s*z/D", 3, "write one function of s"),
     ("2s", 1, "operator is missing"),
     ("Fs(1 + s)", 0, "a product needs a *"),
     ("epx(-s)", 0, "did you mean 'exp'?"),

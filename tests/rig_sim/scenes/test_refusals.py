@@ -87,17 +87,17 @@ CHANGES = [  # scene, its changes, words of the refusal
         )
     ),
     # laws with memory
-    ("rig", LUGRE[:1], "law lugre requires friction.s0; give s0 in N/m, Fc in N, v_s in m/s"),
+    ("rig", LUGRE[:1], "law lugre requires friction.s0; set s0 in N/m, Fc in N, v_s in m/s"),
     ("rig", ["friction.law=lugra"], "'lugra'; it should be 0, 1, 2, 3, 4, 5, 6, lugre, dahl, ageing or slip"),
     ("rig", ["friction.v_s=0.1"], "unknown key 'friction.v_s'"),
     *(
         ("rig", [*LUGRE, change], said)
         for change, said in (
-            ("friction.s0=0", "friction.s0 is 0; give a number above 0"),
-            ("friction.s1=-1", "friction.s1 is -1; give a number 0 or more"),
+            ("friction.s0=0", "friction.s0 is 0; use a number above 0"),
+            ("friction.s1=-1", "friction.s1 is -1; use a number 0 or more"),
             ("friction.s0=3 mm", "friction.s0: 'mm' is not a unit of stiffness"),
             ("friction.so=3", "unknown key 'friction.so'"),
-            ("belt.speed=0", "without a moving belt; set belt.speed"),
+            ("belt.speed=0", "requires a moving belt; set belt.speed"),
             ("friction.static=1.2", "friction.static cannot be combined with law lugre"),
             ("friction.contact=jump", "friction.contact cannot be combined with law lugre"),
             ("droop.fraction=0.1", "droop with law lugre"),

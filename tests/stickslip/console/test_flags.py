@@ -46,7 +46,7 @@ def test_a_negative_quantity_stands_after_a_blank(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--x", "--until", "3"], "try: --x: has no value: --until stands in its place"),
+        (["--x", "--until", "3"], "try: --x: has no value, because '--until' is also a flag"),
         (["--x"], "--x"),
         (["--x", "-mm"], "'-mm' is not a valid length"),
         (["--until", "2 s +- 1 s"], "--until: '2 s +- 1 s' has an error, which is not accepted here"),

@@ -111,7 +111,7 @@ def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, mo
         raise PermissionError(13, "Permission denied", "some.partial")
 
     monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(disk.RefusedError, match=r"out.h5: may not be written; give a place"):
+    with pytest.raises(disk.RefusedError, match=r"out.h5: cannot be written: permission denied; choose a folder"):
         atomic.replacing(tmp_path / "out.h5", force=False).__enter__()
 
 
