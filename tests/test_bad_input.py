@@ -123,7 +123,7 @@ REFUSED = [
     ("rig-sim continue damped --over damper.c=0.3:0.6 --plot c.png", "--plot; "),  # "Unknown option: --plot.;"
     # stickslip: an error names the command that was typed.
     ("stickslip fit none.h5", "stickslip: none.h5: no such file; check the path"),
-    ("stickslip sim cycle nowhere", "stickslip: scene: no built-in scene 'nowhere'"),
+    ("stickslip sim cycle nowhere", "stickslip: scene: there is no built-in scene 'nowhere'"),
     ("stickslip smooth --windw 5", "see 'stickslip smooth --help'"),
     ("stickslip smoth run.h5", "see 'stickslip --help'"),
     # daq record.
@@ -178,12 +178,12 @@ REFUSED = [
     ("daq import table.csv --postion x", "--position"),
     ("daq import table.csv --position y", "the columns are: t, x"),
     ("daq import force.csv", "--spring-force F --stiffness '168 N/m'"),
-    ("daq import pixels.csv", "--x-unit '0.25 mm', a pixel?"),
+    ("daq import pixels.csv", "--x-unit '0.25 mm' (a pixel)"),
     ("daq import table.csv -o table2.csv", "daq export"),
     ("daq import table.csv -o run.h5", "--force to replace it"),
     ("daq import table -o table --force", "table", "is also an input"),
     ("daq import run.h5 -o two.h5", "a run file needs no import"),
-    ("daq import table.csv --counts-per-rev 4096", "give --circumference too"),
+    ("daq import table.csv --counts-per-rev 4096", "requires --circumference"),
     ("daq import table.csv --mass --x0 '1 mm'", "write a value after --mass"),
     ("daq import table.csv --mass -1", "--mass"),
     ("daq import table.csv --belt-column belt", "no column 'belt'"),
@@ -216,7 +216,7 @@ REFUSED = [
     ),
     ("daq calibrate -o out.csv", "out.csv: .csv is the suffix of a CSV table"),
     ("daq export run --csv run --force", "run", "is also an input"),
-    ("daq replay run.h5", "give -o"),
+    ("daq replay run.h5", "add -o FILE.h5"),
     ("daq replay run.h5 -o run.h5 --force", "run.h5", "is also an input"),
     ("daq replay board.h5.part -o run.h5", "run.h5", "--force"),
     (f"{REPLAY} none.sr", "none.sr", "no such file"),
@@ -228,7 +228,7 @@ REFUSED = [
     (f"{REPLAY} rateless.sr --channels A=A,B=B", "--capture-rate"),  # it is not guessed
     (f"{REPLAY} {PAIR} --rate 0", "--rate", "not positive"),
     (f"{REPLAY} {PAIR} --rate nope", "--rate", "'nope'"),
-    (f"{REPLAY} {PAIR} --rate 20000", "up to 10000"),
+    (f"{REPLAY} {PAIR} --rate 20000", "to 10000 Hz"),
     (f"{REPLAY} {PAIR} --rate 1e-300", "1e-300 Hz"),  # these three were tracebacks
     (f"{REPLAY} {PAIR} --capture-rate 1e300", "1e+300 Hz"),
     (f"{REPLAY} {PAIR} --capture-rate 1e-300 --rate 1e-300", "1e-300 Hz"),
@@ -267,7 +267,7 @@ REFUSED = [
     ("process smooth run.h5 --from 5 --to 2", "from 5 to 2 s", "the run lasts", "--from and --to"),
     ("process export run.h5", "no output file was given", "-o FILE.csv"),
     ("process export run.h5 --csv out.xlsx", "out.xlsx", "spreadsheet", "out.csv"),
-    ("process export run.h5 --csv new.h5", "this is a CSV table"),  # a table was written into it
+    ("process export run.h5 --csv new.h5", "the output is a CSV table"),  # a table was written into it
     ("process compare foreign.h5", "foreign.h5: is an HDF5 file but not a run file"),
     ("process export run.h5 --csv run.h5 --force", "run.h5", "is also an input"),
     ("process inspect run.h5 --plot out.bmp", "out.bmp", ".png"),
@@ -284,7 +284,7 @@ REFUSED = [
     ("fit-friction run.h5 --law stribek", "--law", "stribek", "did you mean 'stribeck'"),
     ("fit-friction run.h5 --mass '0.3 N'", "--mass", "'N' is not a unit of mass", "kg"),
     ("fit-friction run.h5 --mass -1kg", "--mass", "-1", "positive"),
-    ("fit-friction run.h5 --mass 1kg --stiffness 2N/m", "--mass and --stiffness cannot be combined", "give one"),
+    ("fit-friction run.h5 --mass 1kg --stiffness 2N/m", "--mass and --stiffness cannot be combined", "state only one"),
     ("fit-friction run.h5 --x0 '5 kg'", "--x0", "'kg' is not a unit of length"),
     ("fit-friction run.h5 --datum 1mm --x0 1mm", "--x0 and --datum cannot be combined", "use only --x0"),
     ("fit-friction run.h5 --alpha 5", "--alpha", "5", "such as 0.05"),
@@ -292,7 +292,7 @@ REFUSED = [
     ("fit-friction run.h5 --fix gamma", "--fix", "NAME=VALUE", "gamma=9.6"),
     ("fit-friction run.h5 --bound gamma=5:1", "--bound", "gamma", "write the lower bound first"),
     ("fit-friction run.h5 run.h5", "named twice", "once"),
-    ("fit-friction run.h5 --report none/out.html", "none/out.html", "folder does not exist"),
+    ("fit-friction run.h5 --report none/out.html", "none/out.html", "the folder of this file does not exist"),
     ("fit-friction run.h5 --jobs 0", "--jobs", "0", "1 or more"),
     # What a person types who has not read the help: a flag, a unit, a suffix or a command was guessed.
     ("fit-friction run.h5 --law 5", "did you mean --laws 5?"),
@@ -301,7 +301,7 @@ REFUSED = [
     ("fit-friction run.h5 --law 'Fs/(1+gamma*s)'", '"NAME: FORMULA"', "mine: Fs/(1 + s/v)"),
     ("fit-friction run.h5 --fix gama=9.6", "did you mean 'gamma'?"),
     ("fit-friction run.h5 --fix gamma=9,6", "'9,6', not a number", "decimal point in s/m"),
-    ("fit-friction run.h5 --fix 'gamma=9.6 m'", "'m' is not a unit of it", "s/m"),
+    ("fit-friction run.h5 --fix 'gamma=9.6 m'", "'m' is not a unit of this quantity", "s/m"),
     ("fit-friction run.h5 --mass 300 g", "in quotes: --mass '300 g'"),
     ("fit-friction run.h5 --mass 0,3", "decimal point, like '300 g'"),
     ("fit-friction run.h5 --mass '300 gr'", "did you mean 'g'?"),
@@ -312,8 +312,8 @@ REFUSED = [
     ("fit-friction run.h5 --confidence '95 %'", "--confidence is '95 %', not a number"),
     ("fit-friction run.h5 --jobs two", "--jobs is 'two', not a whole number"),
     ("fit-friction run.h5 --to 30 min", "in quotes: --to '30 min'"),
-    ("fit-friction run.h5 -report x.html", "did you mean --report?"),
-    ("fit-friction run.h5 -o out.pdf", "name it out.html", "print the page from a browser"),
+    ("fit-friction run.h5 -report x.html", "did you mean '--report'?"),
+    ("fit-friction run.h5 -o out.pdf", "name it out.html", "print this page from a browser"),
     ("fit-friction foreign", "did you mean 'foreign.h5'?"),
     ("fit-friction .", "is a folder", "fit-friction --each *.h5"),  # was a traceback
     ("fit-friction", "as in 'fit-friction run.h5'"),

@@ -1,5 +1,6 @@
 """The commands on files: `daq import`, `daq replay`, `daq decode`, `daq export`."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,7 +68,7 @@ def import_table(
     from stickslip.output import atomic, suffix
 
     written = notes.collect()
-    target = names.complete_name(output or file.with_suffix(".h5"))
+    target = names.complete_name(output or Path(f"{os.path.splitext(file)[0]}.h5"))
     suffix.check_run(target)
     atomic.refuse_existing(target, force, file)
     with application.progress("reading", None, "lines") as show:

@@ -58,7 +58,7 @@ class PitchFlags:
         if turn is None or travel is None:
             missing = "--counts-per-rev" if turn is None else "--circumference"
             flag = "--circumference" if turn is None else "--counts-per-rev"
-            raise InputError(f"{flag} without {missing}", "command line", f"add {missing}, or use --metres-per-count")
+            raise InputError(f"{flag} requires {missing}", "command line", f"add {missing}, or use --metres-per-count")
         if self.metres_per_count is not None:
             what = "--metres-per-count cannot be combined with --counts-per-rev and --circumference"
             raise InputError(what, "command line", "use one or the other")

@@ -65,7 +65,7 @@ TEXTS = [
     (
         "t,x,x\n0,1,1\n1,2,2\n",
         {"position": "x"},
-        ["which column is 'x': 'x' (column 2), 'x' (column 3)?; give position=NUMBER"],
+        ["which column is 'x': 'x' (column 2), 'x' (column 3)?; choose one with position=NUMBER"],
     ),
     ("t,x (m),x (mm)\n0,1,1\n1,2,2\n", {"position": "x"}, ["which column is 'x'"]),
     ("ms,x,y\ns,m,m\n0,1,1\n1,2,2\n", {"position": "x"}, ["'ms' is named like a unit, but its unit is stated as s"]),
@@ -102,12 +102,12 @@ TEXTS = [
     (TWO, {"force_unit": "N"}, ["requires --spring-force"]),
     (TWO, {"clock": True, "t_unit": "s"}, ["cannot be combined"]),
     (TWO, {"preamble": -1}, ["--preamble"]),
-    (TWO, {"belt_unit": "mm"}, ["belt_unit without belt_column"]),
+    (TWO, {"belt_unit": "mm"}, ["belt_unit requires belt_column"]),
     # What a count is.
     (
         COUNT,
         {"counts_per_rev": 100},
-        ["counts_per_rev without circumference; add circumference, or use metres_per_count"],
+        ["counts_per_rev requires circumference; add circumference, or use metres_per_count"],
     ),
     (COUNT, {"circumference": "1 mm"}, ["circumference without counts_per_rev"]),
     (
@@ -117,7 +117,7 @@ TEXTS = [
     ),
     (COUNT, {"counts_per_rev": 9, "circumference": 0}, ["metres_per_count is 0; it must be not zero"]),
     (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["use one or the other"]),
-    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit with metres per count"]),
+    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit cannot be combined with metres per count"]),
     (
         COUNT,
         {"metres_per_count": 1e-6},
@@ -283,7 +283,11 @@ FILES = [
         {"position": "x"},
         "t.xlsx, line 12, column 2: column 'x (mm)' contains 'overload'",
     ),
-    (lambda path: workbook(path, second_sheet), {}, "which sheet is the table? 'Messung 1', 'second'; give sheet"),
+    (
+        lambda path: workbook(path, second_sheet),
+        {},
+        "which sheet is the table? 'Messung 1', 'second'; choose one with sheet",
+    ),
     (
         lambda path: workbook(path, second_sheet),
         {"sheet": "third"},
@@ -293,11 +297,11 @@ FILES = [
     (text(FORCE), {}, "--stiffness '168 N/m'; else choose"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "which column is the position?"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "spring_force='F'"),
-    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, not a position"),
+    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s, so it is a speed and not a position"),
     (
         text(LENGTHS),
         {"belt_column": "belt"},
-        "has no unit: is it the position or the speed of the belt?; give belt_unit",
+        "has no unit: is it the position or the speed of the belt?; use belt_unit",
     ),
     (text(LENGTHS), {"belt_column": "belt", "belt_unit": "kg"}, "'kg' is not a unit of length or speed"),
     (text(LENGTHS), {"belt_column": "z"}, "'N' is not a unit of length or speed"),

@@ -119,7 +119,7 @@ def test_a_run_is_drawn_into_axes_that_are_given():
         ((np.zeros(1500), X), {}, "time does not increase at sample 1"),
         ((TIME, np.where(TIME == 1, np.nan, X)), {}, "position is nan at sample 500; remove those samples: keep ="),
         ((TIME, ["a"] * 1500), {}, "position contains <U1 values instead of numbers"),
-        ((TIME, [None, "x", *X[2:]]), {}, "position holds None, not numbers"),
+        ((TIME, [None, "x", *X[2:]]), {}, "position contains None instead of numbers"),
         (
             (TIME.astype("M8[s]"), X),
             {},

@@ -43,7 +43,7 @@ CHANGES = [  # scene, its changes, words of the refusal
     # the board
     ("rig", ["encoder.decoder=x5"], "encoder.decoder", "x5"),
     ("base", ["slip_loss.rate=1"], "slip_loss.counts is missing"),
-    ("base", ["gaps={rate=1, duration=1}"], "gaps without an encoder"),
+    ("base", ["gaps={rate=1, duration=1}"], "gaps requires an encoder"),
     ("base", ["gaps={rate=0, duration=1}"], "gaps.rate", "0"),
     ("base", ["belt.channel=true"], "belt.channel requires an encoder"),
     ("rig", ["belt.channel=3"], "belt.channel"),
@@ -100,8 +100,8 @@ CHANGES = [  # scene, its changes, words of the refusal
             ("belt.speed=0", "requires a moving belt; set belt.speed"),
             ("friction.static=1.2", "friction.static cannot be combined with law lugre"),
             ("friction.contact=jump", "friction.contact cannot be combined with law lugre"),
-            ("droop.fraction=0.1", "droop with law lugre"),
-            ("shaker={a=1, phi=0}", "shaker with law lugre"),
+            ("droop.fraction=0.1", "droop is not modelled with law lugre"),
+            ("shaker={a=1, phi=0}", "shaker is not modelled with law lugre"),
         )
     ),
 ]
@@ -127,7 +127,7 @@ BARE = "[mass]\nm = 1\n[spring]\nk = 1\n[belt]\nspeed = 0.5\n"
 FILES = [  # content, words of the refusal
     (b"[mass\nm = 1\n", "invalid TOML"),
     (b"a = " + b"[" * 5000, "nested too deeply"),  # a RecursionError
-    (b"\xff\xfe\x00", "cannot be read"),
+    (b"\xff\xfe\x00", "is not a text file"),
     (b"", "mass is missing"),
     (b"[mass]\nm = 1\n[spring]\nk = 1\nkk = 3\n", "unknown key 'spring.kk'; did you mean 'k'"),
     *(
@@ -138,7 +138,11 @@ FILES = [  # content, words of the refusal
             ("law = 5\nFs = 1.0\ngamma = 3.0\nv_s = 1.0", "unknown key 'friction.v_s'"),
             ('formula = "Fc + b*s"\nFc = 1.0', "the formula requires friction.b"),
             ('formula = "Fc*exp(-s/v_s)"\nFc = 1.0\nvs = 0.1', "unknown key 'friction.vs'; did you mean 'v_s'?"),
-            ('formula = "Fc*exp(-gama*s)"\nFc = 1\ngamma = 3', "friction.gama is missing", "did you mean 'gamma'?"),
+            (
+                'formula = "Fc*exp(-gama*s)"\nFc = 1\ngamma = 3',
+                "the formula requires friction.gama",
+                "did you mean 'gamma'?",
+            ),
             ('formula = "Fc"\nFc = 1.0\nlaw = 1', "both law and formula"),
             ('formula = "Fc"\nFc = 1.0\ncurve = [[0.0, 1.0]]', "both curve and formula"),
             (
