@@ -234,7 +234,7 @@ REFUSED = [
     (f"{REPLAY} {PAIR} --capture-rate 1e-300 --rate 1e-300", "1e-300 Hz"),
     ("daq decode pair.sr", "which probes", "0 A, 1 B"),
     ("daq decode pair.sr --step A", "which probes"),
-    (f"daq decode {PAIR} --step A", "exclude"),
+    (f"daq decode {PAIR} --step A", "cannot be combined"),
     ("daq decode pair.sr --channels A,B", "'A,B'", "A=NAME,B=NAME"),
     ("daq decode pair.sr --channels A=A,C=B", "does not name two probes"),
     ("daq decode pair.sr --channels A=A,B=A", "same probe"),
