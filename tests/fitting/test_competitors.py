@@ -73,7 +73,7 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
         ({"bound": ["gamma=2:1"]}, "write the lower bound first"),
         ({"bound": ["gamma=:"]}, "write LO:HI"),
         ({"bound": ["gamma=1:2"], "fix": ["gamma=1.5"]}, "both a fixed value and bounds"),
-        ({"bound": ["gamma=1:2"], "start": ["gamma=3"]}, "not within 1 and 2"),
+        ({"bound": ["gamma=1:2"], "start": ["gamma=3"]}, "outside its bounds, 1 to 2"),
         ({"law": ["5"]}, "did you mean laws 5"),
         ({"law": ["1-3"]}, "did you mean laws 1-3"),
         ({"fix": ["gamma=9.6 kg"]}, "'kg' is not a unit of this quantity; use a number in s/m"),
@@ -121,7 +121,7 @@ def test_values_take_units(law, typed, expected):
         ({"fix": {"gamma": 10**400}}, "gamma is 1000"),
         ({"start": {"gamma": None}}, "of gamma is None"),
         ({"bounds": {"gamma": (0.0, math.nan)}}, "gamma is "),
-        ({"bounds": {"gamma": (0.0, "20 kg")}}, "not a unit of it"),
+        ({"bounds": {"gamma": (0.0, "20 kg")}}, "not a unit of this quantity"),
         ({"laws": object()}, "is not a law"),  # a TypeError
         ({"laws": [5, None]}, "None is not a law"),
         ({"laws": 5.5}, "5.5 is not a law"),

@@ -10,8 +10,8 @@ from stickslip.errors import InputError
     ("changes", "said"),
     [
         ({"start": {"vs": 0.1}}, "law .* has no parameter vs"),
-        ({"bounds": {"v_s": (0.2, 0.1)}}, "bounds of v_s"),
-        ({"bounds": {"v_s": (0.0, None)}, "start": {"v_s": -1.0}}, "v_s is -1"),
+        ({"bounds": {"v_s": (0.2, 0.1)}}, "the lower bound of v_s"),
+        ({"bounds": {"v_s": (0.0, None)}, "start": {"v_s": -1.0}}, "v_s = -1 is outside"),
         ({"fix": {"v_s": float("nan")}}, "v_s is nan"),
     ],
 )
