@@ -63,7 +63,7 @@ ESP32 = Sketch(
     "the Arduino core esp32, 3.0 or later (arduino-cli core install esp32:esp32)",
     "esp32:esp32:esp32",
     921_600,
-    "compiled for a computer with a model of the pulse counter, and its lines read by daq; not on a board",
+    "tested with a model of the pulse counter on a computer, whose lines were read by daq, but not on a board",
 )
 PICO = Sketch(
     "pico",
@@ -73,8 +73,8 @@ PICO = Sketch(
     "the Arduino core of Earle Philhower, 3.0 or later (arduino-cli core install rp2040:rp2040)",
     "rp2040:rp2040:rpipico",
     None,
-    "compiled for a computer with a model of the PIO that runs its words, which also run on the emulator rp2040js, and "
-    "its lines read by daq; not on a board",
+    "tested with a model of the PIO on a computer, whose lines were read by daq, and in the emulator "
+    "rp2040js, but not on a board",
 )
 PICO_MICROPYTHON = replace(
     PICO,
@@ -82,8 +82,8 @@ PICO_MICROPYTHON = replace(
     what="Raspberry Pi Pico with MicroPython",
     core="",
     fqbn="",
-    tested="run on MicroPython's Unix port, its lines read by daq; its PIO program is that of the sketch for the pico, "
-    "word by word; not on a board",
+    tested="tested in MicroPython's Unix port, whose lines were read by daq, with the same PIO program as the sketch "
+    "for the pico, but not on a board",
 )
 TEENSY = Sketch(
     "teensy",
@@ -93,7 +93,8 @@ TEENSY = Sketch(
     "Teensyduino, which includes the library Encoder",
     "teensy:avr:teensy41",
     None,
-    "compiled for a computer with a counter in place of the library Encoder, and its lines read by daq; not on a board",
+    "tested with a counter in place of the library Encoder on a computer, whose lines were read by daq, but "
+    "not on a board",
 )
 SKETCHES = {sketch.name: sketch for sketch in (ESP32, PICO, PICO_MICROPYTHON, TEENSY)}
 
@@ -102,7 +103,7 @@ def board(name: str) -> BoardFirmware | Sketch:
     """Return a board by its name; InputError for another."""
     known = BOARDS | SKETCHES
     if name not in known:
-        raise InputError(f"no firmware for a board {name!r}", "--board", nearest(name, list(known)))
+        raise InputError(f"there is no firmware for a board {name!r}", "--board", nearest(name, list(known)))
     return known[name]
 
 
@@ -115,7 +116,7 @@ def folder() -> Path:
     for place in (here.parent / "firmware", here / "firmware"):
         if (place / "latch.S").exists():
             return place
-    raise InputError("the firmware's files are missing", str(here / "firmware"), "install stickslip again")
+    raise InputError("the firmware files are missing", str(here / "firmware"), "install stickslip again")
 
 
 def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Path, list[Path]]:
@@ -157,12 +158,12 @@ def _copied(files: Mapping[Path, Path], target: Path, force: bool) -> list[Path]
     """Copy files to their places in a folder, each whole or not at all; return the places."""
     for place, file in files.items():
         if place.exists() and not force and place.read_bytes() != file.read_bytes():
-            do = "give another -o, or --force"
+            do = "choose another folder with -o, or use --force"
             raise InputError("exists with different content", str(place), do)
     from stickslip.output import atomic
 
     if target.exists() and not target.is_dir():
-        raise InputError("is not a folder", str(target), "give a folder, with -o")
+        raise InputError("is not a folder", str(target), "choose a folder with -o")
     with disk.writing(target):
         for place in files:
             place.parent.mkdir(parents=True, exist_ok=True)

@@ -34,7 +34,7 @@ app = application.application("fit-friction", usage="Usage: fit-friction [OPTION
 
 @app.default
 def fit(
-    file: Annotated[Path, Parameter(metavar="RUN.h5", help="Run file, of daq record or import.")],
+    file: Annotated[Path, Parameter(metavar="RUN.h5", help="Run file written by 'daq record' or 'daq import'.")],
     /,
     *more: Annotated[Path, Parameter(metavar="RUN.h5", help="More runs of the same contact.")],
     laws: LawFlags = DEFAULT_LAWS,
@@ -44,7 +44,7 @@ def fit(
     work: WorkFlags = DEFAULT_WORK,
     json: Json = False,
 ) -> Answer:
-    """Fit the friction laws to a run, rank them, and write a report beside it.
+    """Fit the friction laws to a run, rank them, and write a report next to the run.
 
     Example: fit-friction run.h5
 
@@ -54,9 +54,9 @@ def fit(
 
     Example: fit-friction --each monday/*.h5 --jobs 4
 
-    Several runs are fitted jointly, as one contact, and the result goes to RUN+N.fit.h5; with --each, runs are fitted
-    separately, and a page compares them. Exit codes: 0 one law, 5 several laws, 6 no law describes the record, 4 too
-    few data.
+    Several runs are fitted jointly, as one contact, and the result is written to RUN+N.fit.h5.  With --each, runs are
+    fitted separately, and a page compares them.  Exit codes: 0 if one law describes the data, 5 if several do, 6 if
+    none does, and 4 if the data are insufficient.
     """
     from fitting import request
 
@@ -123,7 +123,7 @@ def _write_tables(ranking: "Ranking", files: "Sequence[Path]", outputs: OutputFl
         stage.write(outputs.csv, [(path, [row.as_json() for row in side.table]) for path, side in sides])
     if outputs.curve_csv is not None:
         if ranking.adequacy.curve is None:
-            raise DataError("no friction curve could be measured", str(files[0]), "leave out --curve-csv")
+            raise DataError("no friction curve could be measured", str(files[0]), "omit --curve-csv")
         stage.write_curve(outputs.curve_csv, ranking, ranking.adequacy.curve)
     if outputs.save_scene is not None:
         scene.save(outputs.save_scene, ranking, files[0])

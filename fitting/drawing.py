@@ -167,10 +167,10 @@ def _draw_balance(axes: "Axes", fit: Fit, motion: MeasuredMotion) -> list[float]
 
 def _draw_band(axes: "Axes", measured: MeasuredCurve, reach: float) -> list[float]:
     """Draw the measured curve with its band; return the ends of the axis for speeds up to ``reach``, m/s."""
-    lo, hi, band, label = measured.lo, measured.hi, f"{100 * measured.confidence:g} % band", "measured, without a law"
+    lo, hi, band, label = measured.lo, measured.hi, f"{100 * measured.confidence:g} % band", "model-free estimate"
     if not measured.level_known:  # the band of every level would hide the shape
         lo, hi = measured.friction - measured.shape_half, measured.friction + measured.shape_half
-        band, label = f"{band} of the shape", "measured, level not determined"
+        band, label = f"{band} of the shape", "model-free estimate, level unknown"
     axes.fill_between(measured.speed, lo, hi, color=INK, alpha=0.18, lw=0, zorder=1, label=band)
     axes.plot(measured.speed, measured.friction, color=INK, lw=0.9, zorder=4, label=label)
     seen = measured.speed <= reach

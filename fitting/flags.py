@@ -27,17 +27,17 @@ def _file(text: str, *names: str) -> Parameter:
 class LawFlags:
     """The laws that compete, and the conditions on their parameters."""
 
-    laws: Annotated[str, Parameter(metavar="LIST", help="Laws to fit: 1-6, 3,5,6, or with names: 1-6,stribeck.")] = (
-        "1-6"
-    )
+    laws: Annotated[str, Parameter(metavar="LIST", help="Laws to fit, such as 1-6, 3,5,6 or 1-6,stribeck.")] = "1-6"
     law: Annotated[
         Words,
-        _repeated("One more law: stribeck, power, lugre ..., or 'NAME: FORMULA' in slip speed s", "LAW"),
+        _repeated(
+            "Additional law: a published name (stribeck, lugre ...), or 'NAME: FORMULA' with slip speed s", "LAW"
+        ),
     ] = None
-    ramp: Annotated[Words, _repeated("Put the law of this name behind a ramp", "NAME")] = None
-    fix: Annotated[Words, _repeated("A known parameter: gamma=9.6, 'mine.v_s=50 mm/s'", "NAME=VALUE")] = None
-    bound: Annotated[Words, _repeated("Bounds of a parameter; LO: or :HI for one", "NAME=LO:HI")] = None
-    start: Annotated[Words, _repeated("First value of a parameter", "NAME=VALUE")] = None
+    ramp: Annotated[Words, _repeated("Replace the jump of this law by a ramp", "NAME")] = None
+    fix: Annotated[Words, _repeated("Fix a parameter, such as gamma=9.6 or 'mine.v_s=50 mm/s'", "NAME=VALUE")] = None
+    bound: Annotated[Words, _repeated("Bounds of a parameter; LO: or :HI sets only one", "NAME=LO:HI")] = None
+    start: Annotated[Words, _repeated("Initial value of a parameter", "NAME=VALUE")] = None
 
 
 @Parameter(name="*", group=flags.RIG)
@@ -60,7 +60,7 @@ class CalibrationFlags:
         flags.measured(
             "--belt-speed",
             "speed",
-            "Belt speed, signed: '22 cm/s +- 1 mm/s'; or channel: from belt counts.",
+            "Signed belt speed, such as '22 cm/s +- 1 mm/s', or 'channel' to use the belt counts.",
             word="channel",
         ),
     ] = None
@@ -72,11 +72,15 @@ class PartFlags:
     """The fitted part of each run, and the confidence."""
 
     begin: Annotated[
-        float | None, flags.quantity("--from", "time", "Fit from this time of the run: '5', '1.5 min'.")
+        float | None, flags.quantity("--from", "time", "Start of the fitted part, such as '5' or '1.5 min'.")
     ] = None
-    end: Annotated[float | None, flags.quantity("--to", "time", "Fit up to this time of the run.")] = None
-    exclude_cycles: Annotated[str, Parameter(metavar="LIST", help="Cycles to leave out, from 1: 3,7-9.")] = ""
-    confidence: Annotated[float, Parameter(metavar="C", help="Confidence of the intervals and the set of laws.")] = 0.95
+    end: Annotated[float | None, flags.quantity("--to", "time", "End of the fitted part.")] = None
+    exclude_cycles: Annotated[
+        str, Parameter(metavar="LIST", help="Cycles to exclude, counted from 1, such as 3,7-9.")
+    ] = ""
+    confidence: Annotated[
+        float, Parameter(metavar="C", help="Confidence level of the intervals and of the set of laws.")
+    ] = 0.95
     alpha: Annotated[float | None, Parameter(help="1 - confidence."), OLD] = None
 
 
@@ -85,14 +89,16 @@ class PartFlags:
 class OutputFlags:
     """Files written besides the run."""
 
-    report: Annotated[Path | None, _file("Report to write; default RUN.report.html.", "--output", "-o", "--report")] = (
-        None
-    )
-    no_report: Annotated[bool, Parameter(negative=(), help="Write no report.")] = False
+    report: Annotated[
+        Path | None, _file("File of the report; default RUN.report.html.", "--output", "-o", "--report")
+    ] = None
+    no_report: Annotated[bool, Parameter(negative=(), help="Do not write a report.")] = False
     csv: Annotated[Path | None, _file("Also write the ranking as a table.")] = None
     curve_csv: Annotated[Path | None, _file("Also write the measured friction curve with its band.")] = None
     save_scene: Annotated[Path | None, _file("Also write the fitted rig as a scene (.toml) for rig-sim.")] = None
-    force: Annotated[bool, Parameter(negative=(), help="Replace files that are not of these runs.")] = False
+    force: Annotated[
+        bool, Parameter(negative=(), help="Replace existing files, even if they belong to other runs.")
+    ] = False
 
 
 @Parameter(name="*", group=flags.RUNS)
@@ -101,8 +107,10 @@ class WorkFlags:
     """Separate fits, and the processors."""
 
     each: Annotated[bool, Parameter(negative=(), help="Fit every run separately.")] = False
-    jobs: Annotated[int, Parameter(metavar="N", help="Processes; a joint fit uses at most three.")] = 1
-    scheduler: Annotated[str | None, Parameter(metavar="URL", help="Workers of dask: tcp://host:8786.")] = None
+    jobs: Annotated[int, Parameter(metavar="N", help="Number of processes; a joint fit uses at most three.")] = 1
+    scheduler: Annotated[
+        str | None, Parameter(metavar="URL", help="Address of a dask scheduler, such as tcp://host:8786.")
+    ] = None
 
 
 DEFAULT_LAWS, DEFAULT_RIG, DEFAULT_PART = LawFlags(), CalibrationFlags(), PartFlags()

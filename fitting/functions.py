@@ -251,10 +251,12 @@ def rank_each(
     """
     call = "fitting.rank_each"
     if isinstance(runs, RUNS):
-        raise InputError("one run", call, "give a list of runs, as in fitting.rank_each([run]), or call fitting.rank")
+        raise InputError("one run", call, "pass a list of runs, as in fitting.rank_each([run]), or call fitting.rank")
     given, read = list(runs), _read_options(laws, **options, jobs=jobs, scheduler=scheduler)
     if not given or not _are(given, RUNS):
-        raise InputError("no run" if not given else "not all are runs", call, "give files, recordings or motions")
+        raise InputError(
+            "no run" if not given else "some of the arguments are not runs", call, "pass files, recordings or motions"
+        )
     rigs = _rigs(rig, len(given))
     files = [Path(run) if isinstance(run, str | os.PathLike) else _recording(run).source for run in given]
 
@@ -295,7 +297,7 @@ def _rigs(rig: Rig | Sequence[Rig] | None, count: int) -> Sequence[Rig | None]:
     """Return the calibration of each run; None for the run's own."""
     rigs = [rig] * count if rig is None or isinstance(rig, Rig) else list(rig)
     if len(rigs) != count:
-        raise InputError(f"{len(rigs)} rigs for {count} runs", "rig", "give one for all, or one for each run")
+        raise InputError(f"{len(rigs)} rigs for {count} runs", "rig", "pass one rig for all runs, or one for each run")
     return rigs
 
 
@@ -303,18 +305,18 @@ def _runs(run_or_time: Any, position: Any) -> list[Run]:
     call = "fitting.rank"
     if isinstance(run_or_time, RUNS):
         if position is not None:
-            raise InputError("a position beside a run, which has its own", call, "give the run alone")
+            raise InputError("a position was passed in addition to a run", call, "pass only the run")
         return [run_or_time]
     if position is not None:
         return [Recording.from_arrays(run_or_time, position)]
     if isinstance(run_or_time, Ranking):
-        raise InputError("a ranking, which is fitted already", call, "give a run: fitting.rank(daq.load(path))")
+        raise InputError("a ranking has already been fitted", call, "pass a run: fitting.rank(daq.load(path))")
     if isinstance(run_or_time, list | tuple) and _are(run_or_time, RUNS):
         if not run_or_time:
-            raise InputError("no run", call, "give at least one")
+            raise InputError("no run", call, "pass at least one")
         return list(run_or_time)
-    do = "give a run, a file, a smoothed motion, or two arrays: fitting.rank(time, position)"
-    raise InputError(f"a {type(run_or_time).__name__} and no position", call, do)
+    do = "pass a run, a file, a smoothed motion, or two arrays: fitting.rank(time, position)"
+    raise InputError(f"{type(run_or_time).__name__} is not a run, and no position was passed", call, do)
 
 
 def _are(values: Sequence[Any], kind: Any) -> bool:
@@ -326,8 +328,8 @@ def _loaded(run: Run, rig: Rig | None, options: Options) -> LoadedRun:
     if isinstance(run, str | os.PathLike) and Path(run).suffix.lower() in suffix.RUN.suffixes:
         return job.load_run(Path(run), options, rig)
     if options.begin is not None or options.end is not None:
-        do = "name the file, as in fitting.rank('run.h5', begin=5), or cut the arrays"
-        raise InputError("begin or end of what is no run file", "fitting.rank", do)
+        do = "pass the file, as in fitting.rank('run.h5', begin=5), or slice the arrays"
+        raise InputError("begin and end require a run file", "fitting.rank", do)
     motion = run if isinstance(run, Kinematics) else None
     if isinstance(run, str | os.PathLike):
         run = daq.load(run)

@@ -59,19 +59,19 @@ Chance = np.random.Generator
 def check_values(given: Any, kind: str) -> Mapping[str, Any]:
     """Return parameter values if they are numbers or text with a unit (bounds may be infinite); else InputError."""
     example = "{'gamma': (0, 20)}, with None for no bound" if kind == "bounds" else "{'gamma': 9.6}"
-    do = f"give a dictionary, as in {kind}={example}"
+    do = f"write {kind}={example}"
     if given is None:
         return {}
     if not isinstance(given, Mapping) or not all(isinstance(name, str) for name in given):
-        raise InputError(f"is {given!r:.40}", kind, do)
+        raise InputError(f"must be a dictionary, not {given!r:.40}", kind, do)
     for name, value in given.items():
         pair = kind == "bounds" and isinstance(value, tuple | list) and len(value) == 2
         parts = [part for part in value if part is not None] if pair else [value]
         valid = (isinstance(part, Real) or (isinstance(part, str) and units.typed_unit(part)) for part in parts)
         if pair != (kind == "bounds") or not all(valid):
-            raise InputError(f"of {name} is {value!r:.40}", kind, do)
+            raise InputError(f"the value of the value of {name} is {value!r:.40}", kind, do)
         if not all(isinstance(part, str) or _is_number(part, finite=not pair) for part in parts):
-            raise InputError(f"{name} is {value!r:.40}", kind, "give a finite number, or text with a unit")
+            raise InputError(f"the value of {name} is {value!r:.40}", kind, "use a finite number, or text with a unit")
     return given
 
 
@@ -148,33 +148,39 @@ class Law:
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and isinstance(self.formula, str)):
-            what = f"name and formula are {self.name!r:.40} and {self.formula!r:.40}"
-            raise InputError(what, "law", 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")')
+            what = f"name and formula must be texts, not {self.name!r:.40} and {self.formula!r:.40}"
+            raise InputError(what, "law", 'write fitting.Law("mine", "Fs/(1 + s/v_s)")')
         if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
         if self.own_memory:
             self._check_memory()
         known = self.parameters
         if not known:
-            raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
+            raise InputError(
+                f"law {self.name} has no parameter", "formula", "include at least the friction level, such as Fs"
+            )
         for kind in ("start", "bounds", "fix"):
             values = check_values(getattr(self, kind), kind)
             for name in values:
                 if name not in known:
-                    what = f"{name} is no parameter of law {self.name}"
+                    what = f"law {self.name} has no parameter {name}"
                     raise InputError(what, kind, nearest(name, list(known)))
             if values:
                 numbers = {name: in_unit(value, self.unit(name), name, kind) for name, value in values.items()}
                 object.__setattr__(self, kind, numbers)
         for name, (low, high) in (self.bounds or {}).items():
             if low is not None and high is not None and not low < high:
-                raise InputError(f"bounds of {name} are {low:g} and {high:g}", "bounds", "give the lower one first")
+                raise InputError(
+                    f"the lower bound of {name}, {low:g}, is not below the upper one, {high:g}",
+                    "bounds",
+                    "write the lower bound first",
+                )
         for kind in ("start", "fix"):
             for name, value in (getattr(self, kind) or {}).items():
                 low, high = self.limits(name)
                 if not (math.isfinite(value) and low <= value <= high):
-                    what = f"{name} is {value:g}, not within {low:g} and {high:g}"
-                    raise InputError(what, kind, f"give one that law {self.name} allows")
+                    what = f"{name} = {value:g} is outside the allowed range, {low:g} to {high:g}"
+                    raise InputError(what, kind, "choose a value within this range")
 
     def _check_memory(self) -> None:
         if not isinstance(self.rate, str):
@@ -332,7 +338,11 @@ class Law:
         meant = next((name for name in names if SPEED_WORDS.fullmatch(name)), None)
         if self.depends_on_speed or (meant is None and len(names) == 1):
             return
-        hint = "write s for it; law 1 is constant friction" if meant is None else f"did you mean {SPEED} for {meant}?"
+        hint = (
+            "write the slip speed as s; for constant friction use law 1"
+            if meant is None
+            else f"did you mean {SPEED} for {meant}?"
+        )
         raise InputError(f"law {self.name} does not depend on the slip speed {SPEED}", "formula", hint)
 
     def behind_ramp(self) -> "Law":
@@ -432,7 +442,11 @@ def read_law(spec: str, where: str = "--law") -> Law:
         if name in NAMED:
             return NAMED[name]
         if re.fullmatch(r"[\d\s,-]+", name):
-            raise InputError(f"{name!r} is a number of a law, not a name", where, f"did you mean --laws {name}?")
+            raise InputError(
+                f"{name!r} is the number of a law, but --law expects a name or a formula",
+                where,
+                f"did you mean --laws {name}?",
+            )
         for number, kind in LAWS.items():
             if name == kind.name:
                 raise InputError(f"{name!r} is law {number} of the six", where, f"did you mean --laws {number}?")
@@ -462,7 +476,11 @@ class Undetermined(NamedTuple):
 
     def __str__(self) -> str:
         *others, last = self.names
-        return f"{', '.join(others)} and {last} enter only together" if others else f"{last} does not change friction"
+        return (
+            f"friction depends only on a combination of {', '.join(others)} and {last}"
+            if others
+            else f"friction does not depend on {last}"
+        )
 
 
 def natural_size(law: Law, name: str, friction: float, speed: float) -> float:
@@ -575,7 +593,7 @@ class Competitors:
 
     def __post_init__(self) -> None:
         if not self.laws:
-            raise InputError("no law to fit", "--laws", "choose 1 to 6, such as 1-6 or 3,5")
+            raise InputError("no law was requested", "--laws", "use numbers from 1 to 6, such as 1-6 or 3,5")
         names = [law.name for law in self.laws]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -586,9 +604,13 @@ class Competitors:
         object.__setattr__(self, "in_newtons", tuple(sorted(newtons)))
         for name, (low, high) in self.bounds.items():
             if low is not None and high is not None and not low < high:
-                raise InputError(f"bounds of {name} are {low:g} and {high:g}", "--bound", "give the lower one first")
+                raise InputError(
+                    f"the lower bound of {name}, {low:g}, is not below the upper one, {high:g}",
+                    "--bound",
+                    "write the lower bound first",
+                )
             if name in self.fix:
-                raise InputError(f"{name} is fixed and has bounds", "--bound", "give one of the two")
+                raise InputError(f"{name} has both a fixed value and bounds", "--bound", "state only one of the two")
         for law in self.laws:
             if not law.number:
                 law.refuse_without_speed()
@@ -607,7 +629,7 @@ class Competitors:
         several = isinstance(laws, Iterable) and not isinstance(laws, str)
         for one in laws if several else [laws]:  # type: ignore[union-attr]
             if not isinstance(one, Integral | str | Law):
-                do = "give numbers, names or fitting.Law: laws=(1, 5), laws='1-6,stribeck'"
+                do = "use numbers, names or fitting.Law, as in laws=(1, 5) or laws='1-6,stribeck'"
                 raise InputError(f"{one!r:.40} is not a law", "laws", do)
             found += [one] if isinstance(one, Law) else _read(str(one), "--laws")
         given = [check_values(values, kind) for values, kind in ((fix, "fix"), (bounds, "bounds"), (start, "start"))]
@@ -685,11 +707,11 @@ class Competitors:
             typed = any(isinstance(end, str) and units.typed_unit(end) for end in ends)
             readings = {_read_value(name, value, law, flag, typed=typed) for law in having}
             if len(readings) > 1:
-                what = f"{name} has another unit in each law"
-                raise InputError(what, flag, f"name the law: {self.laws[-1].name}.{name}")
+                what = f"the unit of {name} differs between the laws"
+                raise InputError(what, flag, f"state the law too: {self.laws[-1].name}.{name}")
             own, number = readings.pop()
             if own in found or (own != name and own in given):
-                raise InputError(f"{own} is given twice", flag, "leave one out")
+                raise InputError(f"{own} is given twice", flag, "omit one of them")
             found[own] = number
             if typed and any(f"{_named(own, law)}{PER_MASS}" in units_of(law) for law in self.laws):
                 newtons.add(own)
@@ -701,7 +723,7 @@ class Competitors:
         if dot and prefix not in known:
             return InputError(f"{name}: there is no law {prefix}", flag, nearest(prefix, known))
         choices = dict.fromkeys(own for law in self.laws if not dot or law.name == prefix for own in units_of(law))
-        return InputError(f"no law that is fitted has a parameter {name}", flag, nearest(name, list(choices)))
+        return InputError(f"none of the fitted laws has a parameter {name}", flag, nearest(name, list(choices)))
 
 
 def units_of(law: Law) -> dict[str, str]:
@@ -745,8 +767,8 @@ def _check(name: str, given: Given, least: float, itself: bool) -> None:
             do = f"it must be {'at least' if itself else 'above'} {least:g}"
             raise InputError(f"{name} is {value:g}", "--fix" if given.fixed else "--bound", do)
     if given.start is not None and not given.low <= given.start <= given.high:
-        what = f"{name} is {given.start:g}, not within {given.low:g} and {given.high:g}"
-        raise InputError(what, "--start", "give a first value within the bounds")
+        what = f"{name} = {given.start:g} is outside its bounds, {given.low:g} to {given.high:g}"
+        raise InputError(what, "--start", "choose an initial value within the bounds")
 
 
 def _each_once(laws: Iterable[Law]) -> tuple[Law, ...]:
@@ -766,7 +788,7 @@ def _read(text: str, where: str) -> list[Law]:
         listed = numbers(part, where)
         unknown = [number for number in listed if number not in SIX]
         if unknown:
-            raise InputError(f"unknown law {unknown[0]}", where, "choose 1 to 6, such as 1-6 or 3,5")
+            raise InputError(f"unknown law {unknown[0]}", where, "use numbers from 1 to 6, such as 1-6 or 3,5")
         found += [SIX[number] for number in listed]
     return found
 
@@ -780,9 +802,11 @@ def numbers(text: str, flag: str) -> list[int]:
             low = int(first)
             high = int(last) if dash else low
         except ValueError:
-            raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
+            raise InputError(f"{part!r} is not a number or range", flag, "write, for example, 1-3,6") from None
         if not 1 <= low <= high <= LAST_CYCLE:
-            raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
+            raise InputError(
+                f"{part!r} is not an increasing range of numbers above 0", flag, "write, for example, 1-3,6"
+            )
         listed.extend(range(low, high + 1))
     return listed
 
@@ -794,10 +818,10 @@ def _pairs(typed: Iterable[str], flag: str) -> Iterator[tuple[str, str]]:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals or not name or not value:
             what = "LO:HI" if flag == "--bound" else "VALUE"
-            do = f"write for example gamma={'0:20' if flag == '--bound' else '9.6'}"
-            raise InputError(f"{text!r} is not NAME={what}", flag, do)
+            do = f"write, for example, gamma={'0:20' if flag == '--bound' else '9.6'}"
+            raise InputError(f"{text!r} does not have the form NAME={what}", flag, do)
         if name in seen:
-            raise InputError(f"{name} is given twice", flag, "leave one out")
+            raise InputError(f"{name} is given twice", flag, "omit one of them")
         seen.add(name)
         yield name, value
 
@@ -806,7 +830,7 @@ def _interval(text: str, name: str) -> tuple[str | None, str | None]:
     """Return the bounds of LO:HI, either may be missing; a unit after HI alone is that of both."""
     low, colon, high = (part.strip() for part in text.partition(":"))
     if not colon or not (low or high):
-        raise InputError(f"bounds of {name} are {text!r}", "--bound", "write LO:HI, LO: or :HI")
+        raise InputError(f"{text!r} is not a pair of bounds for {name}", "--bound", "write LO:HI, LO: or :HI")
     if low and units.typed_unit(high) and not units.typed_unit(low):
         low = f"{low} {units.typed_unit(high)}"
     return low or None, high or None

@@ -34,18 +34,24 @@ class Options:
 
     def __post_init__(self) -> None:
         if not (isinstance(self.alpha, Real) and LEAST_ALPHA <= self.alpha < 1):
-            do = f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05"
+            do = f"it must be a number from {LEAST_ALPHA:g} to 1, such as 0.05"
             raise InputError(f"alpha is {self.alpha!r}", "--alpha", do)
         if not (isinstance(self.jobs, int) and self.jobs >= 1):
-            raise InputError(f"jobs is {self.jobs!r}", "--jobs", "give 1 or more")
+            raise InputError(f"jobs is {self.jobs!r}", "--jobs", "it must be 1 or more")
         if self.mass is not None and self.stiffness is not None:
-            raise InputError("--mass and --stiffness together", "--mass", "give one: the fit finds the other")
+            raise InputError(
+                "--mass and --stiffness cannot be combined", "--mass", "state only one: the fit determines the other"
+            )
         for name, stated in (("mass", self.mass), ("stiffness", self.stiffness)):
             if stated is not None and not stated.value > 0:
-                raise InputError(f"{name} is {stated.value}", f"--{name}", "give one above 0")
+                raise InputError(f"{name} is {stated.value}", f"--{name}", "it must be above 0")
         if self.x0 is not None and (self.datum is not None or self.datum_sd is not None):
             other = "--datum" if self.datum is not None else "--datum-sd"
-            raise InputError(f"--x0 and {other} together", "command line", "give --x0 alone, with +-: --datum is -x0")
+            raise InputError(
+                f"--x0 and {other} cannot be combined",
+                "command line",
+                "use only --x0, with its error after +-; the datum is -x0",
+            )
 
     def fixed(self, law: Law) -> dict[str, float]:
         """Return the fixed parameters of a requested law; none for others."""
@@ -55,10 +61,14 @@ class Options:
     def check_joint(self) -> None:
         """Raise InputError for options of a single run."""
         if self.belt_speed is not None and self.belt_speed != "channel":
-            raise InputError("one belt speed for several runs", "--belt-speed", "leave it out: each run finds its own")
+            raise InputError(
+                "a joint fit does not accept one belt speed for all runs",
+                "--belt-speed",
+                "omit it: a belt speed is fitted for each run",
+            )
         if self.excluded:
-            do = "fit that run alone, or leave it out"
-            raise InputError("cycles to exclude from several runs", "--exclude-cycles", do)
+            do = "fit that run separately, or omit the flag"
+            raise InputError("cycles cannot be excluded from a joint fit", "--exclude-cycles", do)
 
     def calibrate(self, rig: Rig) -> Rig:
         if self.mass is not None:
@@ -68,16 +78,18 @@ class Options:
         if self.x0 is not None:
             rig = rig.resting_at(_changed("--x0", None, self.x0, None))
         if self.datum_sd is not None and self.datum is None and rig.datum is None:
-            raise InputError("--datum-sd without a datum", "--datum-sd", "give --x0 with +- instead")
+            raise InputError("--datum-sd requires a datum", "--datum-sd", "use --x0 with +- instead")
         if self.datum is not None or self.datum_sd is not None:
             rig = replace(rig, datum=_changed("--datum", rig.datum, self.datum, self.datum_sd), x0=None)
         if self.damping is None and self.damping_sd is None:
             return rig
         damping = _changed("--damping", rig.damping, self.damping, self.damping_sd)
         if damping.value < 0:
-            raise InputError(f"damping is {damping.value}", "--damping", "give 0 or more, in N s/m")
+            raise InputError(f"damping is {damping.value}", "--damping", "it must be 0 or more, in N s/m")
         if rig.mass is None and rig.stiffness is None:
-            raise InputError("--damping in N s/m without a mass", "--damping", "give --mass or --stiffness too")
+            raise InputError(
+                "--damping in N s/m requires the mass or the stiffness", "--damping", "add --mass or --stiffness"
+            )
         return replace(rig, damping=damping)
 
     @property
@@ -101,11 +113,13 @@ class Options:
 def _changed(flag: str, known: Measured | None, typed: Measured | None, sd: float | None) -> Measured:
     """Return a calibration with value or error replaced; a new value without an error is exact."""
     if typed is not None and typed.sd and sd is not None:
-        raise InputError(f"{flag} with +- and {flag}-sd together", "command line", "give the error once")
+        raise InputError(
+            f"{flag} with +- and {flag}-sd cannot be combined", "command line", "state the error only once"
+        )
     value, typed_sd = (typed.value, typed.sd) if typed is not None else (0.0 if known is None else known.value, 0.0)
     sd = typed_sd if sd is None else sd
     if not math.isfinite(value):
-        raise InputError(f"is {value}", flag, "give a number")
+        raise InputError(f"is {value}", flag, "use a number")
     if not 0 <= sd < math.inf:
-        raise InputError(f"standard deviation is {sd}", f"{flag}-sd", "give a number of 0 or more")
+        raise InputError(f"the standard deviation is {sd}", f"{flag}-sd", "it must be 0 or more")
     return Measured(float(value), float(sd))

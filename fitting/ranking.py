@@ -123,7 +123,7 @@ def _compete(
         law_fits.refuse(refusal, records)
     if sustained:
         fitted_laws = {*reasons_lost, *(law for law in competitors.laws if not competitors.by_kernel(law))}
-        reasons_lost |= {law: "its motion cannot be followed" for law in competitors.laws if law not in fitted_laws}
+        reasons_lost |= {law: "its motion could not be computed" for law in competitors.laws if law not in fitted_laws}
     missing = [*(Unfitted(law, why) for law, why in reasons_lost.items() if why), *missing]
     if not any(competitors.asks(fit.law) for fit in fits):
         reasons = "; ".join(f"law {law.key}: {reason}" for law, reason, requested in missing if requested)

@@ -42,7 +42,9 @@ def _read_alpha(part: PartFlags) -> float:
     if part.alpha is not None:
         return part.alpha
     if not 0 < part.confidence < 1:
-        raise InputError(f"confidence is {part.confidence:g}", "--confidence", "give a number below 1, such as 0.95")
+        raise InputError(
+            f"confidence is {part.confidence:g}", "--confidence", "it must be between 0 and 1, such as 0.95"
+        )
     return round(1 - part.confidence, 12)
 
 
@@ -50,27 +52,32 @@ def select_runs(files: list[Path], *, each: bool) -> list[Path]:
     """Return the files without joint fits, which a pattern such as *.h5 also matches."""
     for path in files:
         if path.is_dir():
-            raise InputError("is a folder", str(path), f"name its runs: fit-friction --each {path / '*.h5'}")
+            raise InputError("is a folder", str(path), f"name the runs in it: fit-friction --each {path / '*.h5'}")
     if not each:
         return files
     fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.is_joint_fit(path)]
     for path in fits:
-        application.note(f"{path} is the file of a joint fit, left out")
+        application.note(f"{path} contains a joint fit and is skipped")
     runs = [path for path in files if path not in fits]
     if not runs:
-        raise InputError("no run among the files", "command line", "name the runs that were fitted")
+        raise InputError("all files contain joint fits, not runs", "command line", "name the runs instead")
     return runs
 
 
 def place_outputs(runs: list[Path], outputs: OutputFlags, *, each: bool) -> Places:
     """Return the files of results, if they can be combined, have the right suffix and replace no other files."""
-    given, alone = "command line", "fit the runs one at a time"
+    given, alone = "command line", "fit the runs one at a time instead"
     twice = len({path.resolve() for path in runs}) < len(runs)
     for wrong, what, where, do in (
         (twice, "a run is named twice", ", ".join(map(str, runs)), "name each run once"),
-        (outputs.no_report and outputs.report, "--report and --no-report together", given, "give one"),
-        (each and outputs.curve_csv, "--curve-csv with --each", given, alone),
-        (each and outputs.save_scene, "--save-scene with --each", given, alone),
+        (
+            outputs.no_report and outputs.report,
+            "--report and --no-report cannot be combined",
+            given,
+            "use only one of them",
+        ),
+        (each and outputs.curve_csv, "--curve-csv and --each cannot be combined", given, alone),
+        (each and outputs.save_scene, "--save-scene and --each cannot be combined", given, alone),
     ):
         if wrong:
             raise InputError(what, where, do)
@@ -96,11 +103,11 @@ def _refuse_outputs(runs: list[Path], outputs: OutputFlags, places: Places) -> N
         (scene, suffix.TOML, "--save-scene"),
     ):
         if place is not None:
-            suffix.check(place, form, flag, {suffix.PDF: "then print the page from a browser"})
+            suffix.check(place, form, flag, {suffix.PDF: "to obtain a PDF, print this page from a browser"})
     seen: set[Path] = set()
     for output in (*places.reports, places.comparison, places.joint_file, csv, curve_csv, scene):
         if output is not None and output.resolve() in seen:
-            raise InputError("is the name of two outputs", str(output), "give each output a different name")
+            raise InputError("is used for two outputs", str(output), "give each output a different name")
         if output is not None:
             seen.add(output.resolve())
     if places.comparison is not None:

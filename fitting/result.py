@@ -57,7 +57,7 @@ def numbers(values: "ArrayLike", name: str) -> Array:
     try:
         return np.asarray(values, np.float64)
     except (TypeError, ValueError):
-        do = f"give numbers, as in {name}=np.linspace(0, 1, 101)"
+        do = f"pass numbers, as in {name}=np.linspace(0, 1, 101)"
         raise InputError(f"{name} is {values!r:.40}", name, do) from None
 
 
@@ -331,8 +331,8 @@ class LawResult(_Row):
         import pandas as pd
 
         if self.fit.run is not None:
-            do = "take ranking.best.profile(name), of all runs together"
-            raise InputError("one run of several that were fitted together", "profile", do)
+            do = "call ranking.best.profile(name), which covers all runs"
+            raise InputError("a single run of a joint fit has no profile", "profile", do)
         found = pd.DataFrame(resampling.profile(self.fit, self.motion, self.parameters, name))
         found.attrs["unit"] = self.parameters[name].unit
         return found
@@ -343,8 +343,8 @@ class LawResult(_Row):
 
     def _refuse_several(self, what: str) -> None:
         if self.fit.runs > 1:
-            do = f"take those of one run: ranking.runs[0].row({self.law!r})"
-            raise InputError(f"{self.fit.runs} runs together have no common time", what, do)
+            do = f"use those of one run: ranking.runs[0].row({self.law!r})"
+            raise InputError(f"a joint fit of {self.fit.runs} runs has no common time", what, do)
 
 
 @dataclass(frozen=True)
@@ -549,8 +549,8 @@ class Ranking:
             raise InputError("no such file", str(path), "check the path")
         content = Path(path).read_bytes()
         if not content.startswith(SAVED):
-            do = "rank the run again, or load it with the release that saved it"
-            raise InputError(f"is not a ranking saved by stickslip {VERSION}", str(path), do)
+            do = "rank the run again, or load the file with the version that saved it"
+            raise InputError(f"was not saved by stickslip {VERSION} as a ranking", str(path), do)
         return pickle.loads(content[len(SAVED) :])  # type: ignore[no-any-return]
 
     def row(self, law: int | str) -> LawResult:
@@ -769,7 +769,7 @@ class Ranking:
         try:
             import xarray as xr
         except ImportError:
-            do = "install it: pip install 'stickslip[xarray]'; or take residuals, curve and to_dataframe()"
+            do = "install it: pip install 'stickslip[xarray]'; or use residuals, curve and to_dataframe()"
             raise InputError("xarray is not installed", "to_xarray", do) from None
         samples, law_rows = self.residuals, [in_columns(row.parameters) for row in self.rows]
         units = dict(self.to_dataframe().attrs["units"])
@@ -884,15 +884,17 @@ class Ranking:
 
     def _best(self, what: str) -> LawResult:
         if not self.rows:
-            raise DataError("no law came near this record", what, "plot the kinematics: ranking.records[0].plot()")
+            raise DataError(
+                "no law fits this record even roughly", what, "plot the kinematics: ranking.records[0].plot()"
+            )
         return self.best
 
     def _correlations(self, what: str) -> Correlations:
         self._best(what)
         correlations = self.correlations()
         if correlations is None:
-            do = "take ranking.curve, which needs no law; ranking.adequacy.departures says what may be missing"
-            raise DataError("no law describes the record, and the intervals are withheld", what, do)
+            do = "use ranking.curve, which needs no law; ranking.adequacy.departures lists what may be missing"
+            raise DataError("no law describes the record, so the intervals are withheld", what, do)
         return correlations
 
     def _measured(self, what: str) -> MeasuredCurve:

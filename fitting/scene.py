@@ -242,9 +242,9 @@ def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
         return fit, None
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(
-            f"no scene: {adequacy.verdict}, and no friction curve describes the record",
+            f"no scene can be written, because no friction curve describes the record ({adequacy.verdict})",
             "--save-scene",
-            "leave it out; departures in the report may say what is missing",
+            "omit it; the departures in the report may show what is missing",
         )
     return adequacy.curve.spline_fit, adequacy.curve
 

@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 Run = Annotated[Path, Parameter(help="Run file written by daq record, import or replay.")]
 From = Annotated[
-    float | None, flags.quantity("--from", "time", "Begin at this time of the run: '5', '1.5 min'."), flags.OF_PART
+    float | None,
+    flags.quantity("--from", "time", "Start of the smoothed part, such as '5' or '1.5 min'."),
+    flags.OF_PART,
 ]
-To = Annotated[float | None, flags.quantity("--to", "time", "End at this time of the run."), flags.OF_PART]
+To = Annotated[float | None, flags.quantity("--to", "time", "End of the smoothed part."), flags.OF_PART]
 
 app = application.application(
-    "process", "Position, velocity and acceleration from a recorded run.", "process smooth run.h5"
+    "process", "Estimate position, velocity and acceleration from a recorded run.", "process smooth run.h5"
 )
 
 
@@ -35,29 +37,36 @@ def smooth(
     method: Annotated[
         str,
         Parameter(
-            help="auto (segment if the record clearly contains sticks, else rts), segment, rts, "
-            "sg (Savitzky-Golay) or fd (finite differences, the baseline)."
+            help="'auto' ('segment' if the record clearly contains sticks, otherwise 'rts'), 'segment', 'rts', "
+            "'sg' (Savitzky-Golay) or 'fd' (finite differences)."
         ),
     ] = "auto",
     window: Annotated[
-        str, Parameter(help="Savitzky-Golay window: auto, an odd number of samples, or a duration such as 20ms.")
+        str, Parameter(help="Savitzky-Golay window: 'auto', an odd number of samples, or a duration such as 20ms.")
     ] = "auto",
-    order: Annotated[int | None, Parameter(help="Degree of the polynomial; default chosen with the window.")] = None,
-    times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
+    order: Annotated[
+        int | None,
+        Parameter(help="Degree of the Savitzky-Golay polynomial; by default chosen together with the window."),
+    ] = None,
+    times: Annotated[
+        str, Parameter(help="Sample times: 'recorded' by the board, or 'nominal' (evenly spaced).")
+    ] = "recorded",
     repair_counts: Annotated[
         str,
-        Parameter(help="Steps of the position (lost counts, a shifted zero): off (no search), flag or fix."),
+        Parameter(
+            help="How to treat steps of the position (lost counts, a shifted zero): 'off' (ignore), 'flag' or 'fix'."
+        ),
     ] = "flag",
     belt_speed: Annotated[
-        str, Parameter(help="auto (from belt counts, else from plateaus), or a speed with its sign.")
+        str, Parameter(help="Signed belt speed, or 'auto' to estimate it from belt counts or sticks.")
     ] = "auto",
     begin: From = None,
     end: To = None,
     json: Json = False,
 ) -> Answer:
-    """Estimate the motion, sticks and slips, and write them into the run file; the raw data do not change.
+    """Estimate the motion, sticks and slips, and add them to the run file; the raw data do not change.
 
-    With --from or --to only a part of the run is smoothed, and later commands use only that part.
+    With --from or --to, only a part of the run is smoothed, and later commands use only that part.
 
     Example: process smooth run.h5
 
@@ -90,7 +99,7 @@ def smooth(
 
 @app.command
 def compare(file: Run, /, *, json: Json = False) -> Answer:
-    """Run every method on the record: error against run time.
+    """Compare the error and the run time of all methods on a run.
 
     A setting gives window and order of sg (55,6: 55 samples, degree 6), and the times used: recorded, or nominal (an
     even grid).  The stated error is the standard error that the method estimates.  The true errors are known only for a
@@ -120,17 +129,17 @@ def inspect(
         Parameter(
             name=["--output", "-o", "--plot"],
             metavar="FILE",
-            help="Figure to write: .png, .svg or .pdf; default RUN.inspect.png.",
+            help="File of the figure (.png, .svg or .pdf); default RUN.inspect.png.",
             group=flags.OUTPUT,
         ),
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Show a run: contents, time series and phase portrait.
+    """Show a run: summary, time series and phase portrait.
 
-    A run that has not been smoothed is smoothed in memory.  An older picture of the same run is replaced, any other
-    file only with --force.
+    A run that has not been smoothed is smoothed in memory.  An older picture of the same run is replaced; any other
+    file is replaced only with --force.
 
     Example: process inspect run.h5
 
@@ -153,7 +162,9 @@ def inspect(
     }
     lines = summary.format_run_sentences(motion, file) + slip_statistics.sentences(motion.unit)
     if stored is None:
-        lines.append("not smoothed yet: smoothed in memory; to store the result: process smooth")
+        lines.append(
+            "the run has not been smoothed yet, so it is smoothed in memory; 'process smooth' stores the result"
+        )
     return Answer(data, [*lines, f"picture: {target}"])
 
 
@@ -164,7 +175,9 @@ def export(
     *,
     csv: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o", "--csv"], metavar="FILE", help="Table to write, .csv.", group=flags.OUTPUT),
+        Parameter(
+            name=["--output", "-o", "--csv"], metavar="FILE", help="File of the table (.csv).", group=flags.OUTPUT
+        ),
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -178,7 +191,7 @@ def export(
     from stickslip.output import atomic, suffix, tables
 
     if csv is None:
-        raise InputError("nothing to write", "command line", "give -o FILE.csv")
+        raise InputError("no output file was given", "command line", "add -o FILE.csv")
     atomic.refuse_existing(csv, force, file)
     suffix.check(csv, suffix.CSV)
     recording, stored = _load_motion(file)
@@ -216,7 +229,7 @@ def _table(rows: "list[MethodError]", file: Path, unit: str, has_truth: bool) ->
         table.add_row(row.method, row.setting, f"{1e3 * row.cpu_s:.1f}", *texts)
     if has_truth:
         return table
-    return [table, "this run contains no exact motion; record it with: daq record --set output.truth=true"]
+    return [table, "this run does not contain the exact motion; to record it, use: daq record --set output.truth=true"]
 
 
 def main() -> NoReturn:

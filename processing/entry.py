@@ -91,19 +91,19 @@ def smooth(
     check_type(repair_counts, str, "repair_counts", where, "'off', 'flag' or 'fix'", required=True)
     check_type(model, Mapping, "model", where, "Kinematics.model of an earlier smoothing")
     if isinstance(window, Real) and not math.isfinite(window):
-        raise InputError(f"window is {window}", where, f"give {form}")
+        raise InputError(f"window is {window}", where, f"use {form}")
     if belt_speed != "auto":
         belt_speed = units.in_si(belt_speed, "speed", "belt_speed").value
     if isinstance(run_or_time, daq.Recording | str | os.PathLike):
         if isinstance(position, str):
             method, position = position, None
         if position is not None:
-            problem = "a position in addition to a run"
-            raise InputError(problem, where, "give the run alone: processing.smooth(run, method=...)")
+            problem = "a position was passed in addition to a run"
+            raise InputError(problem, where, "pass only the run: processing.smooth(run, method=...)")
         run = run_or_time if isinstance(run_or_time, daq.Recording) else daq.load(run_or_time)
     elif position is None:
         problem = f"a {type(run_or_time).__name__} without a position"
-        advice = "give a run, a file or two arrays: processing.smooth(time, position)"
+        advice = "pass a run, a file or two arrays: processing.smooth(time, position)"
         raise InputError(problem, where, advice)
     else:
         run = daq.Recording.from_arrays(run_or_time, position)

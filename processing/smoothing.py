@@ -192,7 +192,7 @@ def _parse_setting(window: int | str, order: int | None, belt_speed: float | str
         raise InputError(
             f"{speed:g} m/s, but the positions are in counts (no metres per count)",
             "--belt-speed",
-            "use auto, or add metres_per_count to a rig.toml, then: daq replay RUN.h5 --rig rig.toml -o NEW.h5",
+            "use 'auto', or add metres_per_count to a rig.toml, then run: daq replay RUN.h5 --rig rig.toml -o NEW.h5",
         )
     return replace(parse_window(window, order, data), belt_speed=speed)
 

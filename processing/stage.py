@@ -32,7 +32,7 @@ SPEED = f"{LENGTH}/s"
 BREAK_AWAYS = {  # column: attribute of a `SlipEvent`, unit, what it is
     "stick_time": ("stick_s", "s", "duration of the stick"),
     "slip_time": ("slip_s", "s", "duration of the slip"),
-    "drop": ("drop_m", LENGTH, "how far the mass slips back"),
+    "drop": ("drop_m", LENGTH, "distance travelled back during the slip"),
     "break_away": ("break_away_m", LENGTH, "extension of the spring at break-away"),
 }
 CORNERS = {"land": 1, "leave": 2, "start": 3, "stop": 4, "overtake": 5, "kick": 6}  # 5 is of earlier versions
@@ -91,7 +91,7 @@ PARAMETERS: tree.Tree = (
     Field("smooth/parameters/times", "text", "", "`recorded` or `nominal`", "motion.times"),
     Field("smooth/parameters/belt_speed", "f8", SPEED, "signed; NaN when unknown", "motion.belt_speed"),
     Field("smooth/parameters/lost_counts", "i8", "", "times counts went missing", value=lambda s: s.motion.lost_counts),
-    Field("smooth/parameters/repaired", "i8", "", "1 where steps were taken out", "motion.repaired", optional=True),
+    Field("smooth/parameters/repaired", "i8", "", "1 if steps were removed", "motion.repaired", optional=True),
     Field("smooth/parameters/dropped_frames", "i8", "", "frames lost", "motion.dropped_frames", optional=True),
     Field("smooth/parameters/noise", "f8", LENGTH, "standard deviation of one position", "motion.noise", optional=True),
     Field("smooth/parameters/cpu_time", "f8", "s", "spent", "motion.cpu_s"),
@@ -248,7 +248,7 @@ def load(path: Path) -> Kinematics | None:
         recording = _select_events(store.load(path, part), part)
         if stored["digest"] != recording.digest:
             raise InputError(
-                "the smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
+                "the smoothed motion was computed from other raw data", str(path), f"run 'process smooth {path.name}'"
             )
         nexus.check_length(stored["motion.time"].size, recording.time.size, "smooth/kinematics/time", path)
         values = tree.select_part(stored, "motion")
@@ -325,7 +325,7 @@ def load_statistics(path: Path) -> StickSlipStatistics:
             )
     motion = load(path)
     if motion is None:
-        raise InputError("is not smoothed yet", str(path), f"run: process smooth {path.name}")
+        raise InputError("is not smoothed yet", str(path), f"run 'process smooth {path.name}'")
     return from_kinematics(motion)
 
 

@@ -107,7 +107,7 @@ class StickSlipStatistics:
         if not self.sticks:
             return []
         if self.slips < FEWEST_SLIPS:
-            return [f"statistics: {self.slips} slips are too few (at least {FEWEST_SLIPS})"]
+            return [f"statistics: {self.slips} slips are too few (at least {FEWEST_SLIPS} are needed)"]
         return [
             f"{name:10} {mean} ± {sd} {shown} ({low} to {high}{f', trend {drift}' if drift else ''})"
             for name, mean, sd, low, high, drift, shown in self.rows(unit)

@@ -15,7 +15,7 @@ from stickslip.output.lengths import shown_range, shown_speed
 logger = logging.getLogger(__name__)
 METHOD_NAMES = {
     "segment": "sticks and slips smoothed separately; transition times fitted",
-    "rts": "fixed-interval smoother, noise levels by maximum likelihood",
+    "rts": "fixed-interval smoother with maximum-likelihood noise levels",
     "sg": "Savitzky-Golay",
     "fd": "finite differences",
 }
@@ -76,18 +76,18 @@ def list_warnings(motion: SmoothingSummary) -> list[str]:
     if motion.lost_counts:
         messages.append(
             f"counts went missing {_count(motion.lost_counts, 'time')} "
-            f"({'restored' if motion.repaired else 'marked, not corrected'}): "
-            "check for a bouncing encoder wheel or a slipping coupling"
+            f"({'restored' if motion.repaired else 'marked, not corrected'}); check for a bouncing encoder "
+            "wheel or a slipping coupling"
         )
     if motion.kicks:
         messages.append(
-            f"the velocity jumps {_count(len(motion.kicks), 'time')}, as at a belt joint "
-            f"(first by {motion.kicks[0].step:.2g} {shown_speed(motion.unit)}); marked"
+            f"the velocity jumps {_count(len(motion.kicks), 'time')}, perhaps at a belt joint (first by "
+            f"{motion.kicks[0].step:.2g} {shown_speed(motion.unit)}); marked"
         )
     if motion.phases and not motion.sticks and math.isfinite(motion.plateau_speed):
         messages.append(
-            f"no stick at the belt speed of {motion.belt_speed:g}, but the mass sticks at {motion.plateau_speed:.5g}: "
-            "check --belt-speed and its sign, or use auto"
+            f"the mass never sticks at the stated belt speed of {motion.belt_speed:g}, but it sticks at "
+            f"{motion.plateau_speed:.5g}; check --belt-speed and its sign, or use 'auto'"
         )
     if not motion.phases:
         messages.append("the mass never moves in this record")

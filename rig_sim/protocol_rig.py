@@ -149,7 +149,7 @@ def parse_url(url: str) -> tuple[str, list[str], bool]:
     name, _, query = url[len(_SCHEME) :].partition("?")
     name = unquote(name).rstrip("/")
     if not name:
-        raise InputError("names no scene", url, "write rig://rig, or the percent-encoded path of a TOML file")
+        raise InputError("does not name a scene", url, "write rig://rig, or the percent-encoded path of a TOML file")
     changes: list[str] = []
     realtime = False
     for option in filter(None, query.split("&")):
@@ -160,5 +160,7 @@ def parse_url(url: str) -> tuple[str, list[str], bool]:
         elif key == "realtime" and value in ("0", "1"):
             realtime = value == "1"
         else:
-            raise InputError(f"unknown option {key}={value}", url, "known: set=section.key=value, realtime=1")
+            raise InputError(
+                f"unknown option {key}={value}", url, "the options are set=section.key=value and realtime=1"
+            )
     return name, changes, realtime

@@ -15,9 +15,9 @@ def parse(text: str, where: str) -> dict[str, Any]:
     except RecursionError as error:
         raise InputError("is nested too deeply", where, "write sections of keys and values") from error
     except ValueError as error:
-        raise InputError("holds a number of too many digits", where, "correct it") from error
+        raise InputError("contains a number with too many digits", where, "correct it") from error
     if has_wide_number(content):
-        raise InputError("holds a number of too many digits", where, "correct it")
+        raise InputError("contains a number with too many digits", where, "correct it")
     return content
 
 

@@ -79,7 +79,7 @@ _PLUS_MINUS = re.compile(r"±|\+-|\+/-")
 def quantity(text: str, dimension: str, where: str) -> float:
     """Return a typed quantity in SI; a bare number is SI, and an error (+-) is an InputError."""
     if _PLUS_MINUS.search(text):
-        raise InputError(f"{text!r} has an error, of which no use is made here", where, "give the value alone")
+        raise InputError(f"{text!r} has an error, which is not accepted here", where, "give only the value")
     value, unit = _split_unit(text, dimension, where)
     return value * _get_size(unit, text, dimension, where)
 
@@ -88,7 +88,7 @@ def measured(text: str, dimension: str, where: str) -> Measured:
     """Return a typed quantity with its error in SI: ``300 g +- 1 g``, ``0.300 +- 0.001 kg``, ``300 g``."""
     parts = _PLUS_MINUS.split(text.strip())
     if len(parts) > 2:
-        raise InputError(f"{text!r} has more than one +-", where, f"write for example {EXAMPLES[dimension]!r}")
+        raise InputError(f"{text!r} has more than one +-", where, f"write, for example, {EXAMPLES[dimension]!r}")
     if len(parts) == 1:
         return Measured(quantity(text, dimension, where))
     (value, value_unit), (sd, sd_unit) = (_split_unit(part, dimension, where) for part in parts)
@@ -106,7 +106,7 @@ def check_measured(key: str, value: float, sd: float, where: str) -> Measured:
     if not math.isfinite(value) or (rule is not None and not _RULES[rule](value)):
         raise InputError(f"{key} is {value:g}", where, f"it must be {rule or 'a finite number'}")
     if not (math.isfinite(sd) and sd >= 0):
-        raise InputError(f"{key}_sd is {sd:g}", where, "a standard deviation is a finite number, not negative")
+        raise InputError(f"{key}_sd is {sd:g}", where, "the standard deviation must be a finite number, not below 0")
     return Measured(value, sd)
 
 
@@ -139,7 +139,7 @@ def in_si(value: Stated, dimension: str, key: str) -> Measured:
         return measured(value, dimension, key)
     parts: tuple[Any, ...] = tuple(value) if isinstance(value, Sequence) and len(value) == 2 else (value,)
     if not all(isinstance(part, Real) and not isinstance(part, bool) for part in parts):
-        do = f"give a number in {si_unit(dimension)}, (value, sd), or text such as {EXAMPLES[dimension]!r}"
+        do = f"pass a number in {si_unit(dimension)}, (value, sd), or text such as {EXAMPLES[dimension]!r}"
         raise InputError(f"{key} is {value!r:.60}", key, do)
     return Measured(*map(float, parts))
 
@@ -150,7 +150,7 @@ def exact_in_si(value: Stated | None, dimension: str, key: str) -> float | None:
         return None
     measurement = in_si(value, dimension, key)
     if measurement.sd or (isinstance(value, str) and _PLUS_MINUS.search(value)):
-        raise InputError(f"{value!r} has an error, of which no use is made here", key, "give the value alone")
+        raise InputError(f"{value!r} has an error, which is not accepted here", key, "give only the value")
     return measurement.value
 
 
@@ -159,13 +159,15 @@ def in_unit(text: str, unit: str, name: str, where: str) -> float:
     parts = _QUANTITY.fullmatch(text.strip())
     if not parts or parts[2].startswith(",") or not math.isfinite(float(parts[1])):
         hint = " with a decimal point" if "," in text else ""
-        raise InputError(f"{name} is {text!r}, not a number", where, f"give one{hint}{f' in {unit}' if unit else ''}")
+        raise InputError(
+            f"{name} is {text!r}, not a number", where, f"use a number{hint}{f' in {unit}' if unit else ''}"
+        )
     if parts[2].strip() in ("", unit):
         return float(parts[1])
     (size, dimension), (own_size, own_dimension) = _composed(parts[2]), _composed(unit)
     if dimension is None or dimension != own_dimension:
-        do = f"give a number in {unit}, or with such a unit" if unit else "give a number without a unit"
-        raise InputError(f"{name} is {text!r}, and {parts[2].strip()!r} is not a unit of it", where, do)
+        do = f"use a number in {unit}, or one with a unit of this kind" if unit else "use a number without a unit"
+        raise InputError(f"{name} is {text!r}, but {parts[2].strip()!r} is not a unit of this quantity", where, do)
     return float(parts[1]) * size / own_size
 
 
@@ -219,7 +221,7 @@ def _split_unit(text: str, dimension: str, where: str) -> tuple[float, str]:
         raise InputError(f"{text!r} is not a valid {dimension}", where, f"write it {hint}like {EXAMPLES[dimension]!r}")
     value = float(parts[1])
     if not math.isfinite(value):
-        raise InputError(f"{text!r} is too large", where, f"write for example {EXAMPLES[dimension]!r}")
+        raise InputError(f"{text!r} is too large", where, f"write, for example, {EXAMPLES[dimension]!r}")
     return value, parts[2].strip()
 
 

@@ -52,7 +52,7 @@ def check_board(summary: RecordingQuality, run: Recording, parked_s: float) -> l
         BoardCheck(
             "rate",
             abs(rate_deviation) <= RATE_TOLERANCE,
-            f"{summary.measured_rate_hz:.6g} Hz by the board's clock, {summary.rate_hz:.6g} requested",
+            f"{summary.measured_rate_hz:.6g} Hz according to the board's clock, {summary.rate_hz:.6g} requested",
             "lower --rate, or update its firmware",
         ),
         BoardCheck(
@@ -65,7 +65,7 @@ def check_board(summary: RecordingQuality, run: Recording, parked_s: float) -> l
         BoardCheck(
             "counting",
             summary.illegal + summary.phase_errors == 0,
-            f"{summary.illegal} illegal transitions, {summary.phase_errors} samples that contradict their levels",
+            f"{summary.illegal} illegal transitions, {summary.phase_errors} samples that contradict their logic levels",
             "check the encoder's plug and supply; move more slowly",
         ),
     ]
@@ -81,7 +81,7 @@ def check_board(summary: RecordingQuality, run: Recording, parked_s: float) -> l
 
 def _check_clock(summary: RecordingQuality) -> BoardCheck:
     if not summary.clock_drift:
-        return BoardCheck("clock", None, "could not be compared with this computer's in this time")
+        return BoardCheck("clock", None, "the clocks could not be compared in this time")
     return BoardCheck("clock", True, summary.clock_drift)
 
 
@@ -91,9 +91,9 @@ def _check_parked(parked: CountedSpan, run: Recording) -> BoardCheck:
     if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
         return BoardCheck("parked drift", False, result + ": the mass moved", "do not touch it while it is parked")
     do = (
-        "it vibrates about an edge, which a J-K decoder counts; use x4"
+        "the encoder vibrates about an edge, which a J-K decoder counts; use the decoder x4"
         if "jk" in run.rig.decoder
-        else "check its mount"
+        else "check the mount of the encoder"
     )
     return BoardCheck("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, result, do)
 
@@ -107,10 +107,12 @@ def _check_direction(moved: CountedSpan, run: Recording) -> BoardCheck:
         result += f", {1e3 * moved.counts * pitch.value:+.3g} mm"
     if moved.span * edges < HAND_EDGES:
         return BoardCheck(
-            "direction", False, result, "nothing was counted: check the encoder's supply, and its wires A and B"
+            "direction", False, result, "no edge was counted: check the supply of the encoder and its wires A and B"
         )
     if abs(moved.counts) * edges < HAND_EDGES:
-        return BoardCheck("direction", None, result + ": it came back", "move it in one direction and leave it there")
+        return BoardCheck(
+            "direction", None, result + ": the mass came back", "move it in one direction and leave it there"
+        )
     do = "swap the wires A and B, or change the sign of metres_per_count"
     return BoardCheck("direction", moved.counts * sign > 0, result, do)
 

@@ -42,7 +42,7 @@ def measure_pitch(run: Recording, distance: Measured) -> Measured:
     start = count[:n] if stands_at_first(run) else count[:1]
     moved = float(np.mean(end) - np.mean(start))
     if abs(moved) < 10:
-        what = f"the mass moved by {moved:.3g} counts, which is too little"
+        what = f"the mass moved by only {moved:.3g} counts"
         raise DataError(what, "distance", "move it farther, and see 'daq check' for the encoder")
     value = distance.value / moved
     return Measured(value, abs(value) * math.hypot(distance.sd / distance.value, math.sqrt(2) * CELL / moved))
@@ -108,6 +108,8 @@ def _connected_counts(run: Recording) -> NDArray[np.int64]:
         raise DataError("has no counts", str(run.source), "record from an encoder board")
     if run.segment[-1] > 0:
         raise DataError(
-            "the port was lost in between; counts before and after it are not comparable", str(run.source), "try again"
+            "the port was lost during the measurement, so counts before and after it are not comparable",
+            str(run.source),
+            "try again",
         )
     return run.count

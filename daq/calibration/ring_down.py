@@ -134,14 +134,16 @@ def _find_free_part(
     farthest = int(np.argmax(np.abs(deviation)))
     reach = abs(deviation[farthest])
     if reach < 20 * resolution:
-        raise DataError("the mass was not moved", "ring-down", "displace it by a few millimetres and release it")
+        raise DataError("the mass was not moved", "ring-down", "displace the mass by a few millimetres and release it")
     sides = np.sign(deviation) * (np.abs(deviation) > max(2 * resolution, 0.002 * reach))
     after = sides[farthest:]
     nonzero = np.flatnonzero(after)
     side_changes = nonzero[1:][np.diff(after[nonzero]) != 0] + farthest
     if len(side_changes) < FEWEST_SWINGS:
         what = f"{len(side_changes)} half-swings are too few to separate friction from damping"
-        raise DataError(what, "ring-down", "displace it farther, lift it off the belt, or record longer (--duration)")
+        raise DataError(
+            what, "ring-down", "displace the mass farther, lift it off the belt, or record longer (--duration)"
+        )
     let_go = farthest + int(np.flatnonzero(np.abs(deviation[farthest : side_changes[0]]) >= RELEASED * reach)[-1])
     crossings = np.array([_find_crossing(time, deviation, int(flip)) for flip in side_changes])
     # The last swing is fitted to its turning point: on the way to rest friction is no longer that of sliding.
@@ -221,7 +223,7 @@ def _fit_least_squares(
         if 2 * best.cost < n * (NOISE_FLOOR * resolution) ** 2:
             break
     if best is None:
-        raise ValueError("no start was given")
+        raise ValueError("no initial values were given")
     theta = np.concatenate((best.x * scale[:free], np.zeros(7 - free)))
     theta[[0, 1, 2, 6]] = np.abs(theta[[0, 1, 2, 6]])
     residual = best.fun

@@ -29,28 +29,29 @@ if TYPE_CHECKING:
 PARKED_S, MOVED_S = 5.0, 5.0
 SIMULATED_PARKED_S, SIMULATED_MOVED_S = 0.4, 2.0  # the belt of the scene `rig` starts after 0.5 s
 RING_DOWN_S, DISTANCE_S = 20.0, 10.0
-DISTANCE = "Known distance to move the mass towards +x, '100 mm +- 0.1 mm'; '-100 mm' is towards -x."
+DISTANCE = "Known distance by which the mass is moved towards +x, such as '100 mm +- 0.1 mm'; negative towards -x."
 # The simulated rig in a ring-down: belt at rest, mass nearly lifted off it, with an initial velocity at its mark.
 STRUCK = ("belt.speed=0.0", "friction.Fs=0.05", "start.v=0.6")
 
-Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Do not wait for Enter.")]
+Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Start without waiting for Enter.")]
 
 
 def check(
     *,
     parked: Annotated[
-        float | None, flags.quantity("--parked", "time", "Time during which the mass is not touched; default 5 s.")
+        float | None, flags.quantity("--parked", "time", "Duration of the test at rest; default 5 s.")
     ] = None,
     move: Annotated[
-        float | None, flags.quantity("--move", "time", "Time during which the mass is moved towards +x; default 5 s.")
+        float | None,
+        flags.quantity("--move", "time", "Duration of the test in which you move the mass towards +x; default 5 s."),
     ] = None,
     board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
     json: Json = False,
 ) -> Answer:
-    """Test a board: rate, losses, clock and drift while the mass is at rest, then the direction by hand.
+    """Test a board: rate, losses, clock and drift with the mass at rest, then the direction of counting.
 
-    The exit code is 4 if a check fails.  The simulated rig is at rest until its belt starts: 0.4 s, then 2 s of motion.
+    The exit code is 4 if a check fails.  The simulated rig is tested for 0.4 s at rest and 2 s in motion.
 
     Example: daq check --port /dev/ttyACM0
     """
@@ -63,9 +64,9 @@ def check(
     move_s = move if move is not None else SIMULATED_MOVED_S if simulated else MOVED_S
     for flag, value in (("--parked", parked_s), ("--move", move_s)):
         if not 0 <= value < float("inf"):
-            raise InputError(f"{value:g} s", flag, "give 0 or more seconds")
+            raise InputError(f"{value:g} s", flag, "use 0 s or more")
     if parked_s + move_s == 0:
-        raise InputError("nothing to check", "--parked and --move", "give one of them more than 0 s")
+        raise InputError("there is nothing to check", "--parked and --move", "set one of them above 0 s")
     request = replace(request, duration_s=parked_s + move_s)
     _check_reachable(request)
     announced = False
@@ -104,26 +105,26 @@ def check(
 
 def calibrate(
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")] = Path("rig.toml"),
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")] = Path("rig.toml"),
     distance: Annotated[Measured | None, flags.measured("--distance", "length", DISTANCE)] = None,
     ring_down: Annotated[bool, Parameter(name="--ring-down", help="Record and fit a ring-down.")] = True,
     mass: Mass = None,
     duration: Annotated[
-        float, flags.quantity("--duration", "time", "Time of the ring-down, s or with a unit.")
+        float, flags.quantity("--duration", "time", "Duration of the ring-down, in s or with a unit.")
     ] = RING_DOWN_S,
     move: Annotated[
-        float, flags.quantity("--move", "time", "Time to move the mass by the distance, s or with a unit.")
+        float, flags.quantity("--move", "time", "Time in which the mass is moved by the distance, in s or with a unit.")
     ] = DISTANCE_S,
     board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Measure a rig: metres per count over a known distance; datum, omega0 and damping by a ring-down.
+    """Calibrate a rig: metres per count from a known distance; datum, omega0 and damping from a ring-down.
 
-    Start with the mass at the mark at which every recording will start.  The belt must be at rest.  Values known from
-    --rig or from the board are kept unless they are measured again.  Without a port, the simulated rig is used: nearly
-    lifted off its belt, it gets an initial velocity and rings down.  --distance does not apply to it, because its
+    Place the mass at the mark from which every recording will start.  The belt must be at rest.  Values from --rig or
+    from the board are kept unless they are measured again.  Without a port, the simulated rig is used.  Its mass is
+    nearly lifted off the belt, receives an initial velocity and rings down.  It does not need --distance, because its
     board sends the metres per count.
 
     Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
@@ -135,21 +136,21 @@ def calibrate(
     from stickslip.output import atomic, suffix
 
     if not ring_down and distance is None:
-        raise InputError("nothing to measure", "command line", "give --distance, or omit --no-ring-down")
+        raise InputError("there is nothing to measure", "command line", "add --distance, or omit --no-ring-down")
     settings = resolve(board)
     request = RecordRequest(**settings)
     suffix.check(output, suffix.TOML)
     atomic.refuse_existing(output, force)
     if distance is not None and distance.value == 0:
-        raise InputError("the distance is zero", "--distance", "give for example '100 mm'")
+        raise InputError("the distance is zero", "--distance", "use, for example, '100 mm'")
     if "port" not in settings:
         if distance is not None:
             what = "the simulated rig cannot be moved by hand, so --distance does not apply"
-            raise InputError(what, "--distance", "give the --port of a board, or omit --distance")
+            raise InputError(what, "--distance", "add the --port of a board, or omit --distance")
         request = replace(request, port=rig_port(None, list(STRUCK), realtime=False))
     for flag, seconds, needed in (("--move", move, distance is not None), ("--duration", duration, ring_down)):
         if needed and not 0 < seconds < float("inf"):
-            raise InputError(f"{seconds:g} s", flag, "give more than 0 seconds")
+            raise InputError(f"{seconds:g} s", flag, "use more than 0 s")
     _check_reachable(replace(request, duration_s=duration if ring_down else move))
     wait = not (yes or json or request.port.startswith("rig://"))
     pitch = ring = None
@@ -170,18 +171,20 @@ def calibrate(
         warnings += summary.warnings
         if ring.poor:
             raise DataError(
-                f"the motion is not that of a spring with friction: residuals of {ring.rms:.3g} counts (rms) of "
-                f"{ring.amplitude:.4g}",
+                "the motion is not that of a mass on a spring with friction; it leaves residuals of "
+                f"{ring.rms:.3g} counts (rms) of {ring.amplitude:.4g}",
                 "ring-down",
-                "stop the belt, displace the mass, release it and do not touch it; or --no-ring-down",
+                "stop the belt, displace the mass, release it and do not touch it, or use --no-ring-down",
             )
     if recording is None:
         raise ValueError("neither measurement was made")
     rig = measure.calibrate_rig(recording.rig, pitch, ring, mass)
     if ring is not None and rig.mass is None:
-        warnings.append("without --mass only omega0 and the damping ratio are known, not stiffness and damping")
+        warnings.append(
+            "without --mass, only omega0 and the damping ratio are determined, not the stiffness and the damping"
+        )
     if rig.metres_per_count is None:
-        warnings.append("without --distance lengths are in counts")
+        warnings.append("without --distance, lengths are in counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
     left_out = ["belt_speed"] if measure.belt_stands(recording.rig) else []
     text = (
@@ -234,7 +237,7 @@ def _record_once(
             except RecordingInterruptedError as error:  # its journal is deleted with the folder
                 raise KeyboardInterrupt from error
             except disk.RefusedError as error:
-                do = "free space there, or set TMPDIR to a folder on another disk"
+                do = "free some space there, or set TMPDIR to a folder on another disk"
                 raise disk.RefusedError(error.what.partition(";")[0], folder, do) from error
         return summary, store.load(output)
 

@@ -1,5 +1,6 @@
 """The commands on files: `daq import`, `daq replay`, `daq decode`, `daq export`."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,7 +28,8 @@ def import_table(
     file: Annotated[
         Path,
         Parameter(
-            help="The table: text (.csv, .txt, .lvm ...) or MATLAB (.mat); with the extra 'formats' .xlsx and .tdms."
+            help="Table to import: text (.csv, .txt, .lvm ...) or MATLAB (.mat); .xlsx and .tdms require the extra "
+            "'formats'."
         ),
     ],
     /,
@@ -38,15 +40,15 @@ def import_table(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Make a run file from a table of times and positions, written by a camera, a sensor or another program.
+    """Convert a table of times and positions, from a camera, a sensor or another program, to a run file.
 
-    Delimiter, decimal sign, preamble, header and units are detected.  Numbers without a unit are taken as SI; if that
-    is implausible, you are asked for the unit.  With mass and stiffness the frame rate is checked against the duration
-    of the slips.
+    Delimiter, decimal sign, preamble, header and units are detected.  Numbers without a unit are read in SI units; if
+    the result is implausible, you are asked for the unit.  If mass and stiffness are stated, the frame rate is checked
+    against the duration of the slips.
 
-    A tribometer's record of the force of a pulling spring is read by --spring-force: the position is force /
-    stiffness, as seen from the pulling end, which moves at --belt-speed.  If the belt was measured, name
-    its column with --belt-column.
+    Use --spring-force for the force of a pulling spring, as recorded by a tribometer.  The position is then force /
+    stiffness, relative to the pulling end, which moves at --belt-speed.  If the belt was measured, name its column with
+    --belt-column.
 
     Example: daq import track.csv
 
@@ -66,7 +68,7 @@ def import_table(
     from stickslip.output import atomic, suffix
 
     written = notes.collect()
-    target = names.complete_name(output or file.with_suffix(".h5"))
+    target = names.complete_name(output or Path(f"{os.path.splitext(file)[0]}.h5"))
     suffix.check_run(target)
     atomic.refuse_existing(target, force, file)
     with application.progress("reading", None, "lines") as show:
@@ -79,7 +81,7 @@ def import_table(
 
 
 def replay(
-    source: Annotated[Path, Parameter(help="The journal (.part), run file (.h5) or capture (.sr).")],
+    source: Annotated[Path, Parameter(help="Journal (.part), run file (.h5) or capture (.sr).")],
     /,
     *,
     output: Output = None,
@@ -113,7 +115,7 @@ def replay(
     for name, value in vars(options).items():
         if value is not None:
             flag = "--dir" if name == "direction" else f"--{name.replace('_', '-')}"
-            raise InputError(f"{flag} is for .sr captures; this is a {kind}", str(source), "omit it")
+            raise InputError(f"{flag} applies only to .sr captures, but this file is a {kind}", str(source), "omit it")
     if kind == "journal":
         from daq.finalise import run as finalise
         from daq.runfile import journal
@@ -134,13 +136,13 @@ def replay(
 
 
 def decode(
-    file: Annotated[Path, Parameter(help="The capture, .sr.")],
+    file: Annotated[Path, Parameter(help="Capture file (.sr).")],
     /,
     *,
     options: ProbeOptions = NO_PROBES,
     json: Json = False,
 ) -> Answer:
-    """Count the edges in a sigrok .sr capture: a quadrature pair, or step and direction.
+    """Count the edges of a quadrature pair, or of step and direction signals, in a sigrok .sr capture.
 
     Example: daq decode capture.sr --channels A=XA,B=XB --decoder x4
     """
@@ -165,19 +167,19 @@ def decode(
 
 
 def export(
-    file: Annotated[Path, Parameter(help="The run file.")],
+    file: Annotated[Path, Parameter(help="Run file.")],
     /,
     *,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], metavar="FILE", help="Table to write, .csv or .parquet.", group=OUTPUT),
+        Parameter(name=["--output", "-o"], metavar="FILE", help="File of the table (.csv or .parquet).", group=OUTPUT),
     ] = None,
     csv: Annotated[Path | None, Parameter(show=False)] = None,
     parquet: Annotated[Path | None, Parameter(show=False)] = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Write a run as a flat table, one row per sample, units in the column names.
+    """Write a run as a table with one row per sample and units in the column names.
 
     Example: daq export run.h5 -o run.csv
     """
@@ -191,11 +193,11 @@ def export(
             suffix.check(path, forms[form], f"--{form}")
             targets.append((form, path))
     if not targets:
-        raise InputError("nothing to write", "command line", "give -o FILE.csv or -o FILE.parquet")
+        raise InputError("no output file was given", "command line", "add -o FILE.csv or -o FILE.parquet")
     for _, target in targets:
         atomic.refuse_existing(target, force, file)
     if len({target.resolve() for _, target in targets}) < len(targets):
-        raise InputError("is the name of two outputs", str(targets[-1][1]), "give each output its own name")
+        raise InputError("is used for two outputs", str(targets[-1][1]), "use a different name for each output")
     rows = store.load(file).to_dataframe()
     for form, target in targets:
         with application.progress(f"writing {form}", len(rows), "rows") as show:
@@ -223,7 +225,9 @@ def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: "R
     store.write(target, run, force=force)
     warnings = sentences.warn_of_counts(totals)
     if run.rig.metres_per_count is None:
-        warnings.append("metres per count unknown: positions are in counts; give --metres-per-count or --rig")
+        warnings.append(
+            "the metres per count are not known, so positions are in counts; add --metres-per-count or --rig"
+        )
     data = (
         replaying.count_faults(run) | {"clock_ppm": None} | sentences.describe_run(run, target, warnings) | vars(totals)
     )
@@ -234,5 +238,5 @@ def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: "R
 
 def _choose_output(source: Path, kind: str) -> Path:
     if kind == "run":
-        raise InputError("no output file was given", str(source), "give -o")
+        raise InputError("no output file was given", str(source), "add -o FILE.h5")
     return source.with_suffix("") if source.suffix == ".part" else source.with_suffix(".h5")

@@ -17,17 +17,17 @@ SOME_PORT = "COM3" if os.name == "nt" else "/dev/ttyACM0"
 
 def firmware(
     *,
-    board: Annotated[str, cyclopts.Parameter(help="uno, nano, mega, esp32, pico, pico-micropython or teensy.")],
+    board: Annotated[str, cyclopts.Parameter(help="Board: uno, nano, mega, esp32, pico, pico-micropython or teensy.")],
     output: Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="Folder to write into.")] = DEFAULT_FOLDER,
     port: Annotated[
-        str | None, cyclopts.Parameter(help="Port of the board; default the only serial port connected.")
+        str | None, cyclopts.Parameter(help="Port of the board; by default the only connected serial port.")
     ] = None,
     force: Annotated[bool, cyclopts.Parameter(negative=(), help="Replace files with different content.")] = False,
     json: Json = False,
 ) -> Answer:
-    """Write the firmware of a board, or a sketch for it, and print how to wire and flash it.
+    """Write the firmware or the sketch for a board, and print how to wire and flash the board.
 
-    For Uno, Nano and Mega these are the .hex and its source, for the others a sketch that prints text lines.
+    For Uno, Nano and Mega, this is a .hex file with its source; for the others, a sketch that prints text lines.
 
     Example: daq firmware --board uno -o firmware
 

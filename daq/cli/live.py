@@ -23,25 +23,28 @@ APPEARS_S = 30.0  # how long the viewer of `daq record --live` waits for the jou
 LOOK_EVERY_S = 0.05
 
 NoBrowser = Annotated[
-    bool, cyclopts.Parameter(name="--no-browser", negative=(), help="Print the page's URL, open no browser.")
+    bool,
+    cyclopts.Parameter(name="--no-browser", negative=(), help="Print the URL of the page without opening a browser."),
 ]
 
 
 def watch(
     run: Annotated[
-        Path, cyclopts.Parameter(name="RUN.h5", help="A run file, or RUN.h5.part: the journal of a running recording.")
+        Path, cyclopts.Parameter(name="RUN.h5", help="Run file, or the journal of a running recording (RUN.h5.part).")
     ],
     /,
     *,
-    wait: Annotated[float, flags.quantity("--wait", "time", "Time to wait for the journal, s or with a unit.")] = 0.0,
+    wait: Annotated[
+        float, flags.quantity("--wait", "time", "Time to wait for the journal, in s or with a unit.")
+    ] = 0.0,
     no_browser: NoBrowser = False,
     json: Json = False,
 ) -> Answer:
-    """Show a recording in the browser while it runs, or a finished run; the URL is the first line of the output.
+    """Show a running recording or a finished run in the browser; the first line of the output is the URL.
 
-    The page is served on this computer alone, under a random address.  It only reads: closing it, or stopping this
-    command by Ctrl-C, does not touch the recording; its button "Stop" does what Ctrl-C does in the recording's
-    terminal.  The command ends with the recording; of a finished run, by Ctrl-C.
+    The page is served only to this computer, under a random address.  Closing the page, or stopping this command with
+    Ctrl-C, does not affect the recording.  The button "Stop" stops the recording, as Ctrl-C in its terminal does.  The
+    command ends when the recording ends; for a finished run, it ends with Ctrl-C.
 
     Example: daq watch run.h5.part
     """
@@ -55,7 +58,7 @@ def watch(
         _wait_for(run, wait)
     elif not run.exists():
         do = f"check the path; the journal of a running recording is {running.name}"
-        raise InputError("no such file, and it is not being recorded", str(run), do)
+        raise InputError("there is no such file, and no recording is writing it", str(run), do)
     with contextlib.suppress(AttributeError, OSError):  # no such call on Windows
         os.nice(NICE)
     from daq.live.server import serve

@@ -33,22 +33,22 @@ Mark = Annotated[
         converter=_parse_markers,
         n_tokens=2,
         consume_multiple=False,
-        help="A marker: the time since the first sample, and a text; repeatable.",
+        help="Add a marker at a time since the first sample, with a text; repeatable.",
     ),
 ]
 
 
 def note(
-    run: Annotated[Path, Parameter(name="RUN.h5", help="The run file.")],
+    run: Annotated[Path, Parameter(name="RUN.h5", help="Run file.")],
     /,
     *,
     notes: NoteFlags = NO_NOTES,
     mark: Mark = None,
     json: Json = False,
 ) -> Answer:
-    """Add notes and markers to a finished run, or print those it has.
+    """Add notes and markers to a finished run, or print its notes.
 
-    A note replaces the one before; an empty one removes it.  Samples, smoothed motion and fit stay as they are.
+    A new note replaces the old one, and an empty note removes it.  Samples, smoothed motion and fit do not change.
 
     Example: daq note run.h5 --sample "brass on steel" --tag humidity=45 --mark 12.5 "hand on the guide"
     """
@@ -79,14 +79,14 @@ def _list_notes(run: "Recording") -> dict[str, Any]:
 
 
 def list_runs(
-    folders: Annotated[tuple[Path, ...], Parameter(name="FOLDER", help="Folders of runs; default '.'.")] = (),
+    folders: Annotated[tuple[Path, ...], Parameter(name="FOLDER", help="Folders that contain runs; default '.'.")] = (),
     /,
     *,
     json: Json = False,
 ) -> Answer:
-    """List the runs in folders, oldest first, a line a run: date, duration, rate, sticks, verdict, title.
+    """List the runs in folders, oldest first, with date, duration, rate, sticks, verdict and title.
 
-    The notes of a run are printed by 'daq note RUN.h5'; --json has everything.
+    'daq note RUN.h5' prints the notes of a run, and --json prints all data.
 
     Example: daq list measurements
     """

@@ -27,20 +27,27 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "rig"
 
-Duration = Annotated[float, flags.quantity("--duration", "time", "Time to record: '20', '20 s', '5 min'.")]
+Duration = Annotated[
+    float, flags.quantity("--duration", "time", "Duration of the recording, such as '20', '20 s' or '5 min'.")
+]
 Output = Annotated[
     Path,
     cyclopts.Parameter(
-        name=["--output", "-o"], metavar="RUN.h5", help="The run file; run-{n:03}.h5 is numbered.", group=flags.OUTPUT
+        name=["--output", "-o"],
+        metavar="RUN.h5",
+        help="Run file to write; run-{n:03}.h5 is numbered automatically.",
+        group=flags.OUTPUT,
     ),
 ]
 Scene = Annotated[
     str | None,
-    cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file; default rig."),
+    cyclopts.Parameter(
+        name="--scene", help="Scene of the simulated rig: a built-in name (default 'rig') or a TOML file."
+    ),
 ]
 Realtime = Annotated[
     bool,
-    cyclopts.Parameter(name="--realtime", negative=(), help="Run the simulated rig at the speed of the wall clock."),
+    cyclopts.Parameter(name="--realtime", negative=(), help="Run the simulated rig in real time."),
 ]
 
 
@@ -77,7 +84,7 @@ def record(
 
     Values given as flags (--mass, --metres-per-count ...) override those of --rig and of the board.
 
-    In the name of the run file {n} is replaced by the next free number, {date} by date and time.
+    In the name of the run file, {n} is replaced by the next free number, and {date} by the date and time.
 
     Example: daq record
 
@@ -98,8 +105,8 @@ def record(
     if scene is not None or set_ or realtime:
         if board.port is not None:
             flag = "--scene" if scene is not None else "--set" if set_ else "--realtime"
-            what = f"{flag} is for the simulated rig, but --port {board.port} was given"
-            raise InputError(what, flag, "give one of the two")
+            what = f"{flag} applies only to the simulated rig, but --port {board.port} was given"
+            raise InputError(what, flag, "use only one of them")
         board = replace(board, port=rig_port(scene, set_, realtime))
     written = notes.collect()
     target = names.complete_name(output)
@@ -125,12 +132,14 @@ def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> st
 
 
 def recover(
-    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal of the recording.")],
+    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="Journal of the recording.")],
     /,
     *,
     output: Annotated[
         Path | None,
-        cyclopts.Parameter(name=["--output", "-o"], help="The run file; default the journal's name without .part."),
+        cyclopts.Parameter(
+            name=["--output", "-o"], help="Run file to write; by default the name of the journal without .part."
+        ),
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -146,7 +155,7 @@ def recover(
 
 
 def ports(*, json: Json = False) -> Answer:
-    """List the ports a board may be connected to, and what to do about one that cannot be opened.
+    """List the ports to which a board may be connected, and explain how to open a port that cannot be opened.
 
     Example: daq ports
     """
@@ -160,7 +169,7 @@ def ports(*, json: Json = False) -> Answer:
         if item.do:
             lines.append(f"{'':<{width}}  no permission:  {item.do}")
     if len(infos) == 1:
-        lines.append("no serial port found: connect the board and try again")
+        lines.append("no serial port was found: connect the board and try again")
     data = [vars(item) for item in infos]
     return Answer(data, "\n".join(lines))
 

@@ -95,8 +95,11 @@ def format_counts(totals: "Totals") -> str:
 
 def warn_of_counts(totals: "Totals") -> list[str]:
     if totals.illegal:
-        return [f"{totals.illegal} illegal transitions: A and B changed at once; the count is uncertain by this number"]
-    return [] if totals.edges else ["no edges: check that these are the right probes"]
+        return [
+            f"{totals.illegal} illegal transitions, in which A and B changed at once; the count is uncertain by "
+            "this number"
+        ]
+    return [] if totals.edges else ["no edges were found; check that these are the right probes"]
 
 
 def comment_on_ring_down(ring: "RingDown | None") -> str:
@@ -110,7 +113,10 @@ def comment_on_ring_down(ring: "RingDown | None") -> str:
 
 def comment_on_left_out(names: Sequence[str]) -> str:
     """Return the lines of a rig.toml about constants that a calibration leaves out."""
-    return "".join(f"# {name} omitted: the belt did not move (0 m/s); give the speed of the runs\n" for name in names)
+    return "".join(
+        f"# {name} is omitted because the belt did not move (0 m/s); set it to the speed of the runs\n"
+        for name in names
+    )
 
 
 def format_calibration(

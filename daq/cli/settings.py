@@ -29,25 +29,30 @@ FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name th
 class BoardFlags:
     """The flags about the board and its rig, as typed; an argument of a command, one flag for each field."""
 
-    port: Annotated[str | None, Parameter(help="Device or URL; default the simulated rig.")] = None
+    port: Annotated[str | None, Parameter(help="Device or URL of the board; by default the simulated rig.")] = None
     rate: Annotated[
         int | None,
-        whole_rate("--rate", "Samples per second, '1 kHz'; default 1000, for qsb 512; a text sketch sets its own."),
+        whole_rate(
+            "--rate",
+            "Sample rate, such as '1 kHz'; default 1000 Hz, or 512 Hz for qsb. With text lines the sketch sets "
+            "the rate.",
+        ),
     ] = None
     protocol: Annotated[
-        str | None, Parameter(help="What the board sends: frames (our firmware, default), qsb or text.")
+        str | None, Parameter(help="Format of the data: 'frames' (stickslip firmware, default), 'qsb' or 'text'.")
     ] = None
     columns: Annotated[
-        str | None, Parameter(help="Columns of text lines, as in t_us,up,down; not needed for t=1,pos=2.")
+        str | None,
+        Parameter(help="Columns of text lines, such as t_us,up,down; not needed for labelled lines such as t=1,pos=2."),
     ] = None
-    decoder: Annotated[str | None, Parameter(help="Decoder of the board: x4, x1, jk, jk-latched or two-counter.")] = (
-        None
-    )
+    decoder: Annotated[
+        str | None, Parameter(help="Decoder of the board: 'x4', 'x1', 'jk', 'jk-latched' or 'two-counter'.")
+    ] = None
     rig: Annotated[
-        Path | None, Parameter(help="The rig.toml written by 'daq calibrate': calibration and settings of the board.")
+        Path | None, Parameter(help="Calibration and board settings, as written by 'daq calibrate' (rig.toml).")
     ] = None
     baud: Annotated[
-        int | None, Whole, Parameter(help="Bits per second of a serial line; default 115200, for qsb 230400.")
+        int | None, Whole, Parameter(help="Baud rate of a serial line; default 115200, or 230400 for qsb.")
     ] = None
 
 
@@ -113,7 +118,7 @@ def read_text(path: Path, where: str) -> str:
     except FileNotFoundError as error:
         raise InputError("no such file", str(path), f"check {where}") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", str(path), "give a TOML file") from error
+        raise InputError(f"cannot be read as text ({error})", str(path), "use a TOML file") from error
 
 
 def _check_section(section: Any, where: str) -> dict[str, Any]:

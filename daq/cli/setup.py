@@ -27,7 +27,7 @@ class Check:
 
 
 def doctor(*, json: Json = False) -> Answer:
-    """Check that this machine is ready: packages, dependencies, ports, the simulated rig, a browser.
+    """Check the installation: packages, dependencies, ports, the simulated rig and a browser.
 
     Example: daq doctor
     """
@@ -44,7 +44,11 @@ def doctor(*, json: Json = False) -> Answer:
     ok = all(check.ok for check in checks)
     lines = [f"{'ok  ' if check.ok else 'FAIL'} {check.name}: {check.detail}" for check in checks]
     lines += [f"     do: {check.do}" for check in checks if not check.ok]
-    lines.append("ready: try 'daq record --rate 1000'" if ok else "not ready: see the lines marked FAIL")
+    lines.append(
+        "this computer is ready; try 'daq record --rate 1000'"
+        if ok
+        else "this computer is not ready; see the lines marked FAIL"
+    )
     data = {"ok": ok, "checks": [vars(check) | {"do": "" if check.ok else check.do} for check in checks]}
     return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DEVICE)
 
@@ -132,7 +136,11 @@ def _check_ports() -> Check:
     from serial.tools.list_ports import comports
 
     devices = [port.device for port in comports()]
-    return Check("serial ports", True, ", ".join(devices) if devices else "none; the simulated rig needs none")
+    return Check(
+        "serial ports",
+        True,
+        ", ".join(devices) if devices else "no port is connected; the simulated rig does not need one",
+    )
 
 
 def _check_browser() -> Check:
@@ -145,7 +153,9 @@ def _check_browser() -> Check:
             browser = webbrowser.get().__class__.__name__
         except webbrowser.Error:
             browser = None
-    return Check("browser", True, browser or "none found; reports are files; open them with a browser on any machine")
+    return Check(
+        "browser", True, browser or "no browser was found; reports can be opened with a browser on another computer"
+    )
 
 
 def _check_folder() -> Check:
@@ -155,13 +165,15 @@ def _check_folder() -> Check:
     free = shutil.disk_usage(folder).free
     writable = os.access(folder, os.W_OK)
     detail = f"{folder}: {free / 1e9:.1f} GB free" + ("" if writable else ", not writable")
-    return Check("this folder", writable and free > 100e6, detail, "work in a folder with write permission and space")
+    return Check(
+        "this folder", writable and free > 100e6, detail, "change to a folder with write permission and free space"
+    )
 
 
 def demo(*, json: Json = False) -> Answer:
     """Record the simulated rig, compute its velocity and rank the six laws, in ./stickslip-demo/.
 
-    The first time after an installation, numerical kernels are compiled on a second core meanwhile.
+    After an installation, the first demo also compiles numerical kernels on a second core.
 
     Example: daq demo
     """
@@ -182,7 +194,7 @@ def demo(*, json: Json = False) -> Answer:
     }
     text = [
         f"\ndone in {wall_s:.0f} s; report: {report}",
-        "next: open the report in a browser, or fit a table of times and positions of your own:",
+        "next: open the report in a browser, or import your own table of times and positions:",
         f"  {_locate_command('daq')} import TABLE.csv -o mine.h5",
         f"  {_locate_command('fit-friction')} mine.h5",
         verdict,

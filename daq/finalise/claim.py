@@ -55,7 +55,10 @@ def explain_lock(path: Path) -> tuple[str, str]:
         owner = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
     except (OSError, InputError, KeyError, OverflowError, ValueError):
         pass
-    return f"a recording is writing it ({owner})", "wait until that recording ends, or stop it with Ctrl-C there"
+    return (
+        f"this file is being written by a recording ({owner})",
+        "wait until that recording ends, or stop it with Ctrl-C in its terminal",
+    )
 
 
 def remove_empty(path: Path) -> bool:

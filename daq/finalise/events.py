@@ -50,7 +50,7 @@ class RunEvents:
                 kind = EVENTS["invalid" if reason == "invalid" else "reopened"]
                 self._events.append((start, kind, _explain_start(reason, gap_s, leap_s)))
         for sample, pause_s in zip(checked.paused.tolist(), checked.paused_s.tolist(), strict=True):
-            note = f"the board paused for {1e3 * pause_s:.0f} ms; its sequence numbers show no lost sample"
+            note = f"the board paused for {1e3 * pause_s:.0f} ms, but its sequence numbers show no lost sample"
             self._events.append((sample, EVENTS["gap"], note))
         for sample in np.flatnonzero(checked.lost).tolist():
             self._events.append((self._samples + sample, EVENTS["gap"], f"{checked.lost[sample]} samples lost"))
@@ -93,7 +93,7 @@ def _explain_start(reason: str, gap_s: float, leap_s: float) -> str:
     """Return as text why a segment begins."""
     gap_ms = 1e3 * gap_s
     return {
-        "invalid": f"{gap_ms:.0f} ms without a sample: the counters may have rolled over",
+        "invalid": f"there was no sample for {gap_ms:.0f} ms, so the counters may have rolled over",
         "reopened": f"the port was lost for {gap_ms:.0f} ms: the position may restart",
         "restarted": f"the board restarted, {gap_ms:.0f} ms lost: the position restarts",
         "jumped": f"sequence number and clock of the board jump, {gap_ms:.0f} ms after the previous sample "

@@ -244,7 +244,7 @@ def find_warnings(
     if recorded.lost_tail:
         sentences.append(f"the last {recorded.lost_tail} bytes of the journal are an incomplete record")
     if recorded.damaged:
-        note = f"it is kept: {recorded.path.name}"
+        note = f"the journal is kept: {recorded.path.name}"
         sentences.append(f"{recorded.damaged} bytes of the journal are damaged; {note}")
     return sentences
 
@@ -301,7 +301,8 @@ def _find_outages(records: journal.Records) -> list[str]:
             lost = ""
         elif record.kind == journal.END and b"port lost" in record.data:
             final.append(
-                f"the port was lost ({lost}) {(last_read - first) / 1e9:.3g} s after the start and was not reopened"
+                f"the port was lost ({lost}) {(last_read - first) / 1e9:.3g} s after the start and did not "
+                "become available again"
             )
         elif record.kind == journal.END and journal.end_reason(record) == journal.SOURCE_FAILED:
             final.append(f"the source failed: {lost}")
@@ -335,7 +336,7 @@ def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig)
     sentences = [
         (quality.lost, f"{quality.lost} samples were lost in {totals.gaps} places"),
         (quality.crc_errors, f"{quality.crc_errors} damaged frames were discarded"),
-        (totals.unknown, f"{totals.unknown} frames were of an unknown kind or length"),
+        (totals.unknown, f"{totals.unknown} frames had an unknown kind or length"),
         (
             quality.illegal,
             f"{quality.illegal} illegal transitions: the encoder was too fast for its decoder; the count may be off by "
@@ -348,20 +349,20 @@ def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig)
             quality.retimed,
             f"{quality.retimed} samples had times that did not fit their neighbours; these times were interpolated",
         ),
-        (quality.dropped_bytes, f"{quality.dropped_bytes} bytes were dropped: this machine could not keep up"),
+        (quality.dropped_bytes, f"{quality.dropped_bytes} bytes were lost because this computer was too slow"),
         (
             quality.segments - 1,
             f"{quality.segments} segments: {reasons}; positions are not connected across them",
         ),
         (
             len(totals.jumped_s),
-            f"the board's sequence numbers jumped against its clock, {jumps} after the first "
-            "sample: it was reset, or sent wrong numbers; each time a new segment begins",
+            f"the board's sequence numbers jumped against its clock, {jumps} after the first sample. The "
+            "board was reset or sent wrong numbers. A new segment begins each time",
         ),
         (
             len(totals.leapt),
-            f"the board's clock jumped, {leaps}, against its sequence numbers and this "
-            "computer's clock; each time a new segment begins, timed by the sequence numbers",
+            f"the board's clock jumped, {leaps}, relative to its sequence numbers and this computer's clock. "
+            "A new segment begins each time, with times from the sequence numbers",
         ),
         (
             len(totals.paused),
@@ -374,11 +375,17 @@ def _find_data_warnings(quality: RecordingQuality, totals: DataTotals, rig: Rig)
     sentences.append(
         (
             steps > half,
-            f"the counters moved by {steps} of {2 * half} within one sample: they may have rolled over unnoticed, and "
-            "positions are then wrong; record at a higher --rate",
+            f"the counters moved by {steps} of {2 * half} within one sample. They may have rolled over "
+            "unnoticed, which makes positions wrong. Record at a higher --rate",
         )
     )
     if rig.decoder in ("jk", "jk-latched"):
-        sentences.append((1, f"a {rig.decoder} counter adds a line ({edges} edges) at each dither: expect drift"))
+        sentences.append(
+            (
+                1,
+                f"a {rig.decoder} counter adds a line ({edges} edges) each time the encoder vibrates across an edge, "
+                "so expect drift",
+            )
+        )
         sentences.append((quality.both_moved, f"both counters moved within one sample, {quality.both_moved} times"))
     return [text for count, text in sentences if count]

@@ -35,7 +35,7 @@ from stickslip.output import atomic
 from stickslip.text import storable
 
 logger = logging.getLogger(__name__)
-WITHOUT_PITCH = "metres per count unknown: positions are in counts"
+WITHOUT_PITCH = "the metres per count are not known, so positions are in counts"
 
 
 def finalise(
@@ -196,11 +196,11 @@ def _gather_board(recorded: journal.Journal, markers: Sequence[tuple[int, str]],
         clock.take(piece)
     belt_count, belt_velocity = columns.compute_belt(rate_hz)
     if columns.has("belt_count") and belt_velocity is None:
-        warnings.append("metres per belt count unknown: the belt's counts give no speed")
+        warnings.append("the metres per belt count are not known, so the belt counts give no speed")
     if (roll_over := survey_roll_over(columns["count"], columns["segment"])) is not None:
         warnings.append(
-            f"the count jumps {roll_over}, as when a counter rolls over or restarts, and these jumps remain in "
-            "the motion; declare the width of a 16-bit counter, as in --columns t_us,count:16, and record again"
+            f"the count jumps {roll_over}, as it does if a counter rolls over or restarts. The jumps were not "
+            "removed. Declare the width of a 16-bit counter, as in --columns t_us,count:16, and record again"
         )
     all_columns = {
         "time": columns["time"],
@@ -230,7 +230,9 @@ def _find_instants(path: Path, header: dict[str, Any], first_ns: int, span_s: fl
 def _no_samples(recorded: journal.Journal) -> DataError:
     size = sum(len(record.data) for record in recorded.records.of_kind(journal.RECEIVED))
     what = f"has no samples: none could be read from the {size} bytes received" if size else "has no samples"
-    return DataError(what, str(recorded.path), "check the board, --baud and --protocol; delete it and record again")
+    return DataError(
+        what, str(recorded.path), "check the board, --baud and --protocol; then delete this file and record again"
+    )
 
 
 def read_calibration(
@@ -254,8 +256,8 @@ def read_calibration(
         )
         if stated_decoder not in (None, ident.decoder):
             warnings.append(
-                f"the calibration is for the decoder {stated_decoder}, and the board counts as {ident.decoder}: its "
-                "metres per count may be wrong"
+                f"the calibration is for the decoder {stated_decoder}, but the board counts as "
+                f"{ident.decoder}, so the metres per count may be wrong"
             )
         rig = replace(rig, decoder=ident.decoder, counter_bits=ident.counter_bits)
     if rig.metres_per_count is None:

@@ -38,17 +38,17 @@ class Totals:
 
 def choose_wiring(capture: Capture, options: ProbeOptions) -> Wiring:
     step, direction, decoder = options.step, options.direction, options.decoder
-    pair = "give --channels A=NAME,B=NAME or --step NAME --dir NAME"
+    pair = "use --channels A=NAME,B=NAME, or --step NAME --dir NAME"
     if options.channels is not None:
         if step is not None or direction is not None:
-            raise InputError("--channels and --step or --dir exclude each other", "command line", pair)
+            raise InputError("--channels cannot be combined with --step or --dir", "command line", pair)
         decoder = "x4" if decoder is None else decoder
         check_known(decoder, DECODERS, "decoder", "--decoder")
         probes, flags, kinds = _split_pair(options.channels), ("--channels", "--channels"), "A and B"
     elif step is None or direction is None:
-        raise InputError("which probes? the capture has: " + capture.listed, str(capture.path), pair)
+        raise InputError("which probes are the signals? the capture has: " + capture.listed, str(capture.path), pair)
     elif decoder is not None:
-        raise InputError("step and direction need no decoder", "--decoder", "omit it, or give --channels")
+        raise InputError("step and direction need no decoder", "--decoder", "omit it, or use --channels")
     else:
         probes, flags, kinds, decoder = (step, direction), ("--step", "--dir"), "step and direction", TWO_COUNTER
     bits = (capture.bit(probes[0], flags[0]), capture.bit(probes[1], flags[1]))
@@ -87,5 +87,5 @@ def _split_pair(channels: str) -> tuple[str, str]:
     names = dict(part.split("=", 1) for part in channels.split(",") if "=" in part)
     names = {key.strip().upper(): value.strip() for key, value in names.items()}
     if set(names) != {"A", "B"} or channels.count(",") != 1:
-        raise InputError(f"{channels!r} does not name a pair", "--channels", "write A=NAME,B=NAME")
+        raise InputError(f"{channels!r} does not name two probes", "--channels", "write A=NAME,B=NAME")
     return names["A"], names["B"]

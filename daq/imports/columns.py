@@ -22,7 +22,7 @@ RATIO_NAMES = (
 RATIO_UNITS = ("-", "1", "%", "dimensionless", "none", "unitless")
 COUNT_UNITS = ("count", "counts", "cts", "tick", "ticks", "pulse", "pulses", "inc", "increments", "steps")
 DIMENSIONS = ("time", "length", "force", "speed")  # dimensions that a column can have
-EXAMPLE_UNITS = {"time": "ms", "force": "mN, or weight for a force divided by the weight"}
+EXAMPLE_UNITS = {"time": "ms", "force": "mN, or 'weight' for a force divided by the weight"}
 # Between a name and its unit; and at the end of what precedes a unit.
 _IN_WORD, _IN_WORD_AT_END = re.compile(r"[/,]|\bin\b"), re.compile(r"(?:[/,]|\bin)$")
 _BRACKETS = (("(", ")"), ("[", "]"))
@@ -76,9 +76,9 @@ def find_columns(
         force_columns = [i for i in free if find_dimension(cells.names[i]) == "force"] if cells.names else []
         what = f"which column is the position? the columns are: {listed}"
         if not force_columns:
-            raise InputError(what, str(cells.path), "give --position")
+            raise InputError(what, str(cells.path), "choose one with --position")
         flags, keywords = _suggest_spring_flags(cells, force_columns[0])
-        do = "give {}, or for the force of a pulling spring {}"
+        do = "use {}, or {} for the force of a pulling spring"
         raise InputError(
             what, str(cells.path), do.format("--position", flags), python=do.format("position=NAME", keywords)
         )
@@ -87,7 +87,9 @@ def find_columns(
     if t_column is None and len(free) == 1 and not rate_known:
         t_column = free[0]
     if t_column is None and len(free) > 1 and not rate_known:
-        raise InputError(f"which column is the time? the columns are: {listed}", str(cells.path), "give --time")
+        raise InputError(
+            f"which column is the time? the columns are: {listed}", str(cells.path), "choose one with --time"
+        )
     if t_column == x_column:
         raise InputError("time and position are the same column", str(cells.path), f"the columns are: {listed}")
     return t_column, x_column, frames
@@ -104,7 +106,7 @@ def find_by_name(cells: Table, name: str, flag: str) -> int:
             return matches[0]
     if wanted.isdecimal() and 1 <= int(wanted) <= cells.width:
         return int(wanted) - 1
-    hint = f"the columns are numbered 1 to {cells.width}"
+    hint = f"the columns are numbered from 1 to {cells.width}"
     if cells.names:
         near = nearest(wanted, cells.names)
         hint = (near + " " if near.startswith("did") else "") + f"the columns are: {cells.listed}"
@@ -113,7 +115,7 @@ def find_by_name(cells: Table, name: str, flag: str) -> int:
 
 def _ambiguity_error(cells: Table, which: str, places: list[int], flag: str) -> InputError:
     choice = source.shorten(f"{cells.names[i]!r} (column {i + 1})" for i in places)
-    return InputError(f"which column is {which}: {choice}?", str(cells.path), f"give {flag}=NUMBER")
+    return InputError(f"which column is {which}: {choice}?", str(cells.path), f"choose one with {flag}=NUMBER")
 
 
 def check_clock(cells: Table, column: int, time: int | None) -> int | None:
@@ -123,7 +125,7 @@ def check_clock(cells: Table, column: int, time: int | None) -> int | None:
         return time if clock is None else clock
     is_clock = time in cells.clocks
     if is_clock and any(row[time].strip() != row[clock].strip() for row in cells.rows):
-        what = f"{cells.label(time)} has the times of another channel, not of {cells.label(column)}"
+        what = f"{cells.label(time)} contains the times of another channel than {cells.label(column)}"
         raise InputError(what, str(cells.path), f"omit --time: {cells.label(clock)} has its times")
     return time
 
@@ -196,21 +198,23 @@ def check_length(cells: Table, column: int) -> None:
         return
     name = cells.names[column]
     stated, dimension, plain = _read_stated_unit(name), find_dimension(name), _strip_unit(name)
-    where, other = cells.locate(cells.header_line, column), "choose the position by --position"
-    do = "{} {}; else " + other + ", or give its unit by --x-unit"
+    where, other = cells.locate(cells.header_line, column), "choose the column of positions with --position"
+    do = "{} {}; else " + other + ", or state its unit with --x-unit"
     others: list[tuple[str, str]] = []
     if dimension == "force" or (stated is None and plain in FORCE_NAMES):
         kind = f"in {stated}: a force" if stated else "a force by its name"
-        how = "for the force of a pulling spring give"
+        how = "for the force of a pulling spring, use"
         others = [] if stated else [("force-unit", "N")]
     elif dimension in ("speed", "time"):
-        raise InputError(f"{cells.label(column)} is in {stated}: a {dimension}, not a position", where, other)
+        raise InputError(
+            f"{cells.label(column)} is in {stated}, so it is a {dimension} and not a position", where, other
+        )
     elif (stated or "").lower() in RATIO_UNITS or (stated is None and plain in RATIO_NAMES):
         kind = f"dimensionless ({stated})" if stated else "a friction coefficient by its name"
-        how = "if it is the force of the pulling spring over the slider's weight give"
+        how = "if it is the force of a pulling spring divided by the weight of the slider, use"
         others = [("force-unit", "weight"), ("mass", "1 kg")]
     elif (stated or plain).lower() in COUNT_UNITS:
-        do = "give --metres-per-count '7.67 um', or --counts-per-rev=16384 and --circumference '125.66 mm'"
+        do = "use --metres-per-count '7.67 um', or --counts-per-rev=16384 and --circumference '125.66 mm'"
         raise InputError(f"{cells.label(column)} contains counts", where, do)
     else:
         return
@@ -228,8 +232,8 @@ def read_belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[s
                 return dimension, units.unit_size(stated, dimension, "--belt-unit"), stated
             except InputError:
                 continue
-    what = f"{cells.label(column)} has no unit" if stated is None else f"{stated!r} is a unit of neither"
-    do = "give --belt-unit=mm for a position of the belt, --belt-unit=mm/s for its speed"
+    what = f"{cells.label(column)} has no unit" if stated is None else f"{stated!r} is not a unit of length or speed"
+    do = "use --belt-unit=mm for a position, or --belt-unit=mm/s for a speed"
     raise InputError(
         f"{what}: is it the position or the speed of the belt?", cells.locate(cells.header_line, column), do
     )
@@ -245,18 +249,20 @@ def read_unit(
     if flag_value is not None:
         size = units.unit_size(flag_value, dimension, flag)
         if stated and units.is_unit(stated, dimension) and units.unit_size(stated, dimension, flag) != size:
-            warnings.append(f"{cells.label(column)} is read in {flag_value} ({flag}), not in {stated}")
+            warnings.append(
+                f"{cells.label(column)} is read in {flag_value} ({flag}), although the table states {stated}"
+            )
         return size, flag_value
     if stated is None:
         return 1.0, units.si_unit(dimension)
     base = split_unit(cells.names[column])[0].strip()
     if base != stated and units.is_unit(base, dimension):
-        what = f"column {base!r} has the name of a unit, and its unit is stated as {stated}"
-        raise InputError(what, cells.locate(cells.header_line, column), f"give {flag}, for example {flag} {base}")
+        what = f"column {base!r} is named like a unit, but its unit is stated as {stated}"
+        raise InputError(what, cells.locate(cells.header_line, column), f"use {flag}, for example {flag} {base}")
     if not units.is_unit(stated, dimension):
         example = f"'0.25 mm' for {stated} of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
         what = f"{cells.label(column)} is in {source.cut(stated)!r}, which is not a known unit of {dimension}"
-        do = f"give {flag}, for example {flag} {example}"
+        do = f"use {flag}, for example {flag} {example}"
         raise InputError(what, cells.locate(cells.header_line, column), do)
     return units.unit_size(stated, dimension, flag), stated
 

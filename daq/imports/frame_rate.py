@@ -35,9 +35,9 @@ def check_half_period(
     measured, ratio = swing.duration, swing.duration / expected
     rate = 1 / float(np.median(np.diff(time)))
     return [
-        f"the frame rate is probably wrong: a slip lasts {measured:.3g} s ({swing.number} found) where "
-        f"pi sqrt(m/k) = {expected:.3g} s; the times give {rate:.4g} frames/s, {rate * ratio:.4g} would match "
-        f"(or mass and stiffness are wrong); give the camera's true rate by --frame-rate"
+        f"the frame rate is probably wrong: a slip lasts {measured:.3g} s ({swing.number} found) where pi "
+        f"sqrt(m/k) = {expected:.3g} s. The times give {rate:.4g} frames/s, {rate * ratio:.4g} would match. "
+        "Either the mass and stiffness are wrong, or the true rate must be given with --frame-rate"
     ]
 
 

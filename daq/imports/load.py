@@ -61,8 +61,8 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
     if _is_run(file):
         if import_options:
             name = next(iter(import_options))
-            do = "omit it; calibrations and x0 are arguments of fitting.rank"
-            raise InputError(f"{name}= is for tables, and this is a run file", str(file), do)
+            do = "omit it; pass calibrations and x0 to fitting.rank"
+            raise InputError(f"{name}= applies only to tables, but this is a run file", str(file), do)
         return store.load(file)
     import warnings
 
@@ -95,7 +95,7 @@ def _build_options(keywords: dict[str, Any]) -> "ImportOptions":
         name = FLAGS.get(keyword, keyword)
         if name not in field_names:
             names = sorted(field_names - set(FLAGS.values())) + list(FLAGS)
-            raise InputError(f"no option {keyword!r} of a table", "daq.load", nearest(keyword, names))
+            raise InputError(f"{keyword!r} is not an option for tables", "daq.load", nearest(keyword, names))
         if name in units.OF_QUANTITY:
             value = units.read_stated(value, name)
         elif name == "circumference":

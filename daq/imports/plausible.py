@@ -25,7 +25,7 @@ def check_range(values: Array, most: float, cells: Table, column: int, unit: str
         raise InputError(
             f"{cells.label(column)} is {values[row]:.9g} {unit}",
             cells.locate(cells.lines[row], column),
-            f"correct or delete that line; if the unit is wrong, give {flag}",
+            f"correct or delete that line; if the unit is wrong, use {flag}",
         )
 
 
@@ -35,13 +35,13 @@ def check_increasing(time: Array, cells: Table, column: int) -> None:
         return
     row = int(wrong[0]) + 1
     what = f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s"
-    do = "delete or correct that line; if these are not times, choose the column by --time"
+    do = "delete or correct that line; if these are not times, choose the column with --time"
     if row == 1 and wrong.size == 1:
-        do += f"; if the table begins here, give --preamble {cells.lines[0]}"
+        do += f"; if the table begins here, use --preamble {cells.lines[0]}"
     if wrong.size > 1 and np.all(np.diff(time) >= 0):
         rate = (time.size - 1) / (time[-1] - time[0])
-        what += f"; {wrong.size} lines repeat a time, which is rounded too coarsely"
-        do = f"number the samples evenly: --frame-rate '{rate:.4g} Hz', or your board's exact rate"
+        what += f"; {wrong.size} lines repeat the time before, because times are rounded"
+        do = f"space the samples evenly with --frame-rate '{rate:.4g} Hz', or with the exact rate of your board"
     raise InputError(what, cells.locate(cells.lines[row], column), do)
 
 
@@ -52,9 +52,9 @@ def number_evenly(time: Array, rate_hz: float, cells: Table, column: int, warnin
     worst = int(np.argmax(np.abs(time - even)))
     if abs(time[worst] - even[worst]) > MOST_ROUNDINGS * rounding:
         what = f"{cells.label(column)} differs by {time[worst] - even[worst]:.3g} s from even samples at {rate_hz:g} Hz"
-        do = "check --frame-rate; where samples are missing, record times with more digits"
+        do = "check --frame-rate; if samples are missing, record times with more digits"
         raise InputError(what, cells.locate(cells.lines[worst], column), do)
-    warnings.append(f"{cells.label(column)} repeats times; the samples were numbered evenly at {rate_hz:g} Hz")
+    warnings.append(f"{cells.label(column)} repeats times, so the samples were spaced evenly at {rate_hz:g} Hz")
     return even
 
 
@@ -67,7 +67,7 @@ def describe_gap(time: Array, cells: Table, *, clock: bool) -> list[str]:
     hours = round(step[row] / HOUR_S)
     summer = clock and hours and abs(step[row] - hours * HOUR_S) <= GAP * np.median(step)
     why = "; did the clock change (summer time)?" if summer else ""
-    return [f"a gap of {step[row]:.6g} s without samples before line {cells.lines[row + 1]}{why}"]
+    return [f"there are no samples for {step[row]:.6g} s before line {cells.lines[row + 1]}{why}"]
 
 
 def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
@@ -76,10 +76,10 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
     if step > SLOWEST_S:
         unit = "ms" if step < 1e3 * SLOWEST_S else "us"
         raise InputError(
-            f"the times have no unit; in s there would be a sample every {step:.3g} s",
+            f"the times have no unit, and in seconds there would be a sample every {step:.3g} s",
             cells.locate(cells.header_line, column),
-            f"give the unit: --t-unit {unit}? (--t-unit s if they are seconds)",
-            python=f"give the unit: t_unit={unit!r}? (t_unit='s' if they are seconds)",
+            f"state the unit, perhaps --t-unit {unit}; use --t-unit s if the times are in seconds",
+            python=f"state the unit, perhaps t_unit={unit!r}; use t_unit='s' if the times are in seconds",
         )
 
 
@@ -89,11 +89,23 @@ def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int,
     if motion is None:
         return
     if force:
-        what = f"the forces have no unit, and in N {motion}"
-        do = "give it: --force-unit mN? --force-unit kgf? (--force-unit N if they are newtons)"
-        python = "give it: force_unit='mN'? force_unit='kgf'? (force_unit='N' if they are newtons)"
+        what = f"the forces have no unit, and in newtons {motion}"
+        do = (
+            "state the unit, such as --force-unit mN or --force-unit kgf; use --force-unit N if the forces are in "
+            "newtons"
+        )
+        python = (
+            "state the unit, such as force_unit='mN' or force_unit='kgf'; use force_unit='N' if the forces are in "
+            "newtons"
+        )
     else:
-        what = f"the positions have no unit, and in m {motion}"
-        do = "give it: --x-unit mm? --x-unit cm? --x-unit '0.25 mm', a pixel? (--x-unit m if they are metres)"
-        python = "give it: x_unit='mm'? x_unit='cm'? x_unit='0.25 mm', a pixel? (x_unit='m' if they are metres)"
+        what = f"the positions have no unit, and in metres {motion}"
+        do = (
+            "state the unit, such as --x-unit mm, --x-unit cm or --x-unit '0.25 mm' (a pixel); use --x-unit m if "
+            "the positions are in metres"
+        )
+        python = (
+            "state the unit, such as x_unit='mm', x_unit='cm' or x_unit='0.25 mm' (a pixel); use x_unit='m' if "
+            "the positions are in metres"
+        )
     raise InputError(what, cells.locate(cells.header_line, column), do, python=python)

@@ -32,7 +32,7 @@ HOST_FLAGS = {"illegal": counters.FLAG_ILLEGAL, "phase": counters.FLAG_PHASE, "b
 def recognise_kind(source: Path) -> str:
     """Return "journal", "run" or "capture" by a file's first bytes."""
     where = str(source)
-    with open_regular(source, "give a journal, a run file or a .sr capture") as stream:
+    with open_regular(source, "use a journal, a run file or a .sr capture") as stream:
         head = stream.read(32)
     kinds = {b"stickslip journal": "journal", b"\x89HDF\r\n\x1a\n": "run", b"PK": "capture"}
     for magic, kind in kinds.items():
@@ -41,7 +41,7 @@ def recognise_kind(source: Path) -> str:
     by_name = {".part": "journal", ".sr": "capture", ".h5": "run"}
     if source.suffix in by_name:
         return by_name[source.suffix]
-    raise InputError("is neither a journal, a run file nor a .sr capture", where, "a CSV is read by daq import")
+    raise InputError("is neither a journal, a run file nor a .sr capture", where, "use 'daq import' for a CSV file")
 
 
 def decode_run(source: Path) -> Recording:
@@ -142,13 +142,13 @@ def sample_capture(
     """Sample a capture as a board of ``rate_hz`` would; without metres per count its positions are counts."""
     where = str(capture.path)
     if capture.rate_hz is None:
-        raise InputError("does not contain its sample rate", where, "give it by --capture-rate, for example '1 MHz'")
+        raise InputError("does not contain its sample rate", where, "add --capture-rate, for example '1 MHz'")
     if not capture.samples / LONGEST_S <= capture.rate_hz <= sigrok.FASTEST_HZ:
         what = f"{capture.samples} samples at {capture.rate_hz:g} Hz cannot be right"
         raise InputError(what, where, "check the rate")
     if not sigrok.SLOWEST_HZ <= rate_hz <= capture.rate_hz:
-        what = f"--rate is {rate_hz:g} Hz, the capture was sampled at {capture.rate_hz:g} Hz"
-        raise InputError(what, where, f"give a rate of {sigrok.SLOWEST_HZ:g} up to {capture.rate_hz:g}")
+        what = f"--rate is {rate_hz:g} Hz, but the capture was sampled at {capture.rate_hz:g} Hz"
+        raise InputError(what, where, f"use a rate from {sigrok.SLOWEST_HZ:g} to {capture.rate_hz:g} Hz")
     sampler = _Sampler(capture.rate_hz / rate_hz)
     before = decode.Totals(0, 0, 0, 0, 0)
     offset = 0

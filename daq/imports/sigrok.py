@@ -89,10 +89,12 @@ def read(path: Path) -> Capture:
     with _open_zip(path) as archive:
         names = archive.namelist()
         if "metadata" not in names:
-            raise InputError("is a zip without 'metadata', not a sigrok capture", where, "give a .sr file")
+            raise InputError("is a zip without 'metadata', not a sigrok capture", where, "use a .sr file")
         packed = {info.compress_type for info in archive.infolist()}
         if not packed <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-            raise InputError("uses a compression that sigrok does not", where, "zip it again by deflate")
+            raise InputError(
+                "uses a compression method that sigrok does not use", where, "compress it again with the method deflate"
+            )
         if archive.getinfo("metadata").file_size > MOST_METADATA:
             raise InputError(f"has over {MOST_METADATA} bytes of metadata", where, "copy the capture again")
         device = _parse_metadata(archive.read("metadata"), where)
@@ -115,7 +117,7 @@ def read(path: Path) -> Capture:
 def _open_zip(path: Path) -> Iterator[zipfile.ZipFile]:
     where = str(path)
     try:
-        with open_regular(path, "give the .sr file in it") as file, zipfile.ZipFile(file) as archive:
+        with open_regular(path, "choose a .sr file in it") as file, zipfile.ZipFile(file) as archive:
             yield archive
     except DAMAGE as error:
         if isinstance(error, OSError) and error.errno != errno.EINVAL:
@@ -123,7 +125,7 @@ def _open_zip(path: Path) -> Iterator[zipfile.ZipFile]:
         with path.open("rb") as stream:
             head = stream.read(2)
         if head != b"PK":
-            raise InputError("is not a sigrok capture (not a zip file)", where, "give a .sr file") from error
+            raise InputError("is not a sigrok capture (not a zip file)", where, "use a .sr file") from error
         what = f"is damaged or cut short ({error})"
         raise InputError(what, where, "copy the capture again from its source") from error
 

@@ -16,7 +16,7 @@ MOST_BYTES = 1 << 28  # of a table; an hour at 1 kHz as text has 50 MB, and take
 MOST_COLUMNS = 4096
 MOST_LINES = 1 << 23  # 2.3 h at 1 kHz
 MOST_CELLS = 1 << 24  # each takes 20 bytes, in a LabVIEW measurement 60 to 90
-PARTS = "save the times and positions alone, or a part of them"
+PARTS = "save only the times and positions, or a part of them"
 LISTED = 12  # names in a message; of the others only the number
 
 
@@ -33,7 +33,7 @@ class Source:
         return hashlib.sha256(self.data).hexdigest()
 
 
-def read(path: Path, do: str = "give the CSV file in it") -> Source:
+def read(path: Path, do: str = "choose a file in it") -> Source:
     """Read a file whole; ``do`` says what to give in place of a folder."""
     with open_regular(path, do) as file:
         status = os.fstat(file.fileno())
@@ -43,15 +43,15 @@ def read(path: Path, do: str = "give the CSV file in it") -> Source:
 
 def check_bytes(size: int, where: str) -> None:
     if size > MOST_BYTES:
-        what = f"has {size / 1e6:.0f} MB; a table has at most {MOST_BYTES / 1e6:.0f} MB"
+        what = f"has {size / 1e6:.0f} MB, but a table may have at most {MOST_BYTES / 1e6:.0f} MB"
         raise InputError(what, where, PARTS)
 
 
 def check_size(rows: int, columns: int, where: str) -> None:
     if columns > MOST_COLUMNS:
-        what = f"has {columns:,} columns; a table has at most {MOST_COLUMNS:,}"
+        what = f"has {columns:,} columns, but a table may have at most {MOST_COLUMNS:,}"
     elif rows * columns > MOST_CELLS:
-        what = f"has {rows * columns:,} cells; a table has at most {MOST_CELLS:,}"
+        what = f"has {rows * columns:,} cells, but a table may have at most {MOST_CELLS:,}"
     else:
         return
     raise InputError(what, where, PARTS)

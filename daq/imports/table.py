@@ -69,7 +69,9 @@ class Table:
     @property
     def listed(self) -> str:
         """The names of the columns, for messages; empty without a header."""
-        return source.shorten(self.names) + (f" (of another length: {self.left_out})" if self.left_out else "")
+        return source.shorten(self.names) + (
+            f" (omitted because of their length: {self.left_out})" if self.left_out else ""
+        )
 
     def locate(self, line: int, column: int | None = None) -> str:
         """Return the position of a line, or of a cell of it, in the file, for messages."""
@@ -138,7 +140,7 @@ class Table:
         """Return the numbers in a row, why it cannot be read ("" where it can), and the column that cannot."""
         if len(row) != self.width:
             columns = "1 column" if len(row) == 1 else f"{len(row)} columns"
-            return [], f"has {columns} where the others have {self.width}", None
+            return [], f"has {columns}, but the others have {self.width}", None
         cells: list[float] = []
         for column, reader, kind in readers:
             value = reader(row[column])
@@ -167,7 +169,7 @@ def list_lines(lines: Iterable[int]) -> str:
 def _advise(cells: Table, bad: Sequence[int], good: Mask) -> tuple[str, str]:
     """Return what to do, for a terminal and in Python."""
     what = "those lines" if len(bad) > 1 else "that line"
-    do = f"correct or delete {what}, or skip such lines with {{}}: times need not be evenly spaced"
+    do = f"correct or delete {what}, or skip such lines with {{}}; times need not be evenly spaced"
     if good.any() and len(bad) == int(good.argmax()) and not cells.names:
         do += f"; if the table begins below, give --preamble {bad[-1]}"
     return do.format("--skip-bad"), in_python(do.format("skip_bad=True"))
@@ -185,7 +187,7 @@ def parse_lines(path: Path, lines: Lines, preamble: int, progress: Stages, delim
         texts = texts.cut(texts.begin, texts.begin + _measure_unclosed(texts, delimiter))
         survey = _survey(texts, delimiter, decimal, silent)
     if not survey.rows:
-        raise InputError("has no numbers", str(path), "give a CSV with a column of positions")
+        raise InputError("has no numbers", str(path), "use a CSV file with a column of positions")
     width = survey.widths.most_common(1)[0][0]
     source.check_size(survey.rows, width, str(path))
     start = layout.find_start(texts, delimiter, decimal, width)
@@ -194,7 +196,7 @@ def parse_lines(path: Path, lines: Lines, preamble: int, progress: Stages, delim
     if names is None:
         count = len(layout.split_header(head[-1], delimiter, width))
         raise InputError(
-            f"the header names {count} columns, the lines below have {width}",
+            f"the header names {count} columns, but the lines below have {width}",
             f"{path}, line {texts.number[start - 1]}",
             "separate columns by semicolons if numbers have decimal commas",
         )
@@ -276,7 +278,7 @@ def decode_text(file: Source) -> str:
     """Return the text of a file, its lines ended by line feeds."""
     data, where = file.data, str(file.path)
     if data.startswith(HDF5):
-        do = "a run file needs no import: use process smooth; export other files as CSV"
+        do = "a run file needs no import, so use process smooth or fit-friction; export other files as CSV"
         raise InputError("is an HDF5 file, not a table", where, do)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", "replace")
@@ -289,7 +291,7 @@ def decode_text(file: Source) -> str:
             text = data.decode("cp1252", "replace")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if (count := text.count("\n")) > source.MOST_LINES:
-        what = f"has {count:,} lines; a table has at most {source.MOST_LINES:,}"
+        what = f"has {count:,} lines, but a table may have at most {source.MOST_LINES:,}"
         raise InputError(what, where, source.PARTS)
     return text
 
@@ -316,10 +318,10 @@ def _select_lines(
         kept = kept.take(slice(1, None))
     if not len(kept):
         what = "has no data" if (lines.end > lines.begin).any() else "is empty"
-        raise InputError(what, where, "give a CSV with a column of positions")
+        raise InputError(what, where, "use a CSV file with a column of positions")
     for index in np.flatnonzero(kept.end - kept.begin > LONGEST_LINE).tolist():
         if (length := len(kept[index])) > LONGEST_LINE:
-            what = f"the line has {length} characters; a line of a table has at most {LONGEST_LINE}"
-            do = "delete that line; if the table begins below it, give --preamble"
+            what = f"the line has {length} characters, but a line of a table may have at most {LONGEST_LINE}"
+            do = "delete that line; if the table begins below it, use --preamble"
             raise InputError(what, f"{where}, line {kept.number[index]}", f"{do} {kept.number[index]}")
     return kept, comments, delimiter

@@ -98,10 +98,12 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         warnings.append(f"{len(skipped)} lines ({share:.2g} %) could not be read and were skipped: {lines}")
     if cells.beside:
         count_of = f"{len(cells.beside)} line{'s' if len(cells.beside) > 1 else ''}"
-        warnings.append(f"{count_of} with cells outside the table only, skipped: {table.list_lines(cells.beside)}")
+        warnings.append(
+            f"{count_of} were skipped because all their cells are outside the table: {table.list_lines(cells.beside)}"
+        )
     if values.shape[1] < 2:
         what = f"has {('no', 'a single')[values.shape[1]]} sample"
-        raise InputError(what, str(path), "give a track of at least two")
+        raise InputError(what, str(path), "use a track of at least two samples")
     time, t_unit, chosen = _read_times(values, cells, columns, options, warnings)
     values = values[:, chosen]
     cells = cells.take(chosen)
@@ -116,7 +118,7 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         position = positions(count, replace(rig, datum=None))
     plausible.check_range(position, plausible.FARTHEST_M, cells, columns.position, "m", "its unit")
     if (impossible := explain_impossible(time, position)) is not None:
-        do = "give the unit of the times with --t-unit" if options.frame_rate_hz is None else "check --frame-rate"
+        do = "state the unit of the times with --t-unit" if options.frame_rate_hz is None else "check --frame-rate"
         raise InputError(impossible, str(path), do)
     has_unit = count is not None or is_stated(cells, columns.position, options.force_unit if forces else options.x_unit)
     if not has_unit:
@@ -167,17 +169,17 @@ def _choose_columns(cells: table.Table, options: ImportOptions) -> Columns:
     rate_known = options.frame_rate_hz is not None
     time, position, frames = find_columns(cells, options.time, requested, rate_known, flag, belt)
     if belt is not None and check_clock(cells, belt, time) != time:
-        what = f"{cells.label(belt)} has other times than {cells.label(position)}"
+        what = f"{cells.label(belt)} and {cells.label(position)} have different times"
         raise InputError(what, str(cells.path), "export both channels at the same times")
     has_timecodes = time is not None and _is_timecode(cells, time)
     if has_timecodes and not rate_known:
         what = f"{cells.label(time or 0)} contains time codes, whose last part may be frames or hundredths"
-        do = "give --frame-rate, one line per frame, for example --frame-rate '400 fps'"
+        do = "add --frame-rate, for example --frame-rate '400 fps', if each line is one frame"
         raise InputError(what, str(cells.path), do)
     time = None if has_timecodes else time
     if (time is None or frames) and not rate_known:
-        what = "has frame numbers but no times" if frames else "has no column of times"
-        raise InputError(what, str(cells.path), "give --frame-rate, for example --frame-rate '400 fps'")
+        what = "contains frame numbers but no times" if frames else "has no column of times"
+        raise InputError(what, str(cells.path), "add --frame-rate, for example --frame-rate '400 fps'")
     return Columns(time, position, belt, frames)
 
 
@@ -268,42 +270,46 @@ def _check_counts(cells: table.Table, column: int, options: ImportOptions) -> No
     """Reject a unit of length given together with metres per count."""
     flag = "--x-unit" if options.x_unit is not None else "--spring-force" if options.spring_force is not None else ""
     if flag:
-        raise InputError(f"{flag} with metres per count", "command line", "omit one: counts have no other unit")
+        raise InputError(
+            f"{flag} cannot be combined with metres per count",
+            "command line",
+            "omit one of them, because counts have no other unit",
+        )
     if cells.names and find_dimension(cells.names[column]) == "length":
-        what = f"{cells.label(column)} is a length, and metres per count are given"
-        do = "omit --metres-per-count, or choose the column of counts by --position"
+        what = f"{cells.label(column)} is a length, but metres per count are given"
+        do = "omit --metres-per-count, or choose the column of counts with --position"
         raise InputError(what, cells.locate(cells.header_line, column), do)
 
 
 def _check_options(options: ImportOptions, stated: Mapping[str, Measured | int]) -> None:
     """Reject flags that exclude or need each other."""
     if options.belt_unit is not None and options.belt_column is None:
-        raise InputError("--belt-unit without --belt-column", "command line", "name the column of the belt")
+        raise InputError("--belt-unit requires --belt-column", "command line", "add the column of the belt")
     if options.preamble < 0:
-        raise InputError(f"is {options.preamble}", "--preamble", "give a number of lines, 0 or more")
+        raise InputError(f"is {options.preamble}", "--preamble", "use a number of lines, 0 or more")
     if options.frame_rate_hz is not None and not 1 / LONGEST_S <= options.frame_rate_hz <= FASTEST_HZ:
         raise InputError(
-            f"is {options.frame_rate_hz:.3g} Hz", "--frame-rate", "give the camera's rate, such as '400 fps'"
+            f"is {options.frame_rate_hz:.3g} Hz", "--frame-rate", "use the rate of the camera, such as '400 fps'"
         )
     if options.clock and options.t_unit is not None:
-        raise InputError("--clock and --t-unit exclude each other", "command line", "omit one")
+        raise InputError("--clock and --t-unit cannot be combined", "command line", "omit one")
     if options.x0 is not None and options.datum is not None:
-        raise InputError("--x0 and --datum together", "command line", "give --x0 alone: --datum is -x0")
+        raise InputError("--x0 and --datum cannot be combined", "command line", "use only --x0; the datum is -x0")
     if options.spring_force is None:
         if options.force_unit is not None:
-            raise InputError("--force-unit without --spring-force", "command line", "name the column of the force")
+            raise InputError("--force-unit requires --spring-force", "command line", "add the column of the force")
         return
     if options.position is not None or options.x_unit is not None:
-        what = "--spring-force excludes --position and --x-unit"
-        raise InputError(what, "command line", "give --force-unit for the unit of the force")
+        what = "--spring-force cannot be combined with --position or --x-unit"
+        raise InputError(what, "command line", "state the unit of the force with --force-unit")
     if _is_over_weight(options) and options.mass is None:
         in_si = {"--belt-speed": options.belt_speed, "--x0": options.x0, "--datum": options.datum}
         for flag, value in (in_si | {"--belt-column": options.belt_column}).items():
             if value is not None:
-                what = f"{flag} is in SI, but positions are in units of weight / stiffness without the slider's --mass"
-                raise InputError(what, flag, "give --mass and --stiffness, or omit it")
+                what = f"{flag} is in SI units, but without --mass positions are in units of weight / stiffness"
+                raise InputError(what, flag, "add --mass and --stiffness, or omit it")
     elif options.stiffness is None:
-        raise InputError("--spring-force without the spring's stiffness", "command line", "give --stiffness")
+        raise InputError("--spring-force requires the stiffness of the spring", "command line", "add --stiffness")
 
 
 def _is_over_weight(options: ImportOptions) -> bool:
@@ -319,8 +325,8 @@ def _read_position_unit(
     if _is_over_weight(options):
         if options.mass is None or options.stiffness is None:
             warnings.append(
-                "weight unknown: positions are in units of weight / stiffness, written as m; times and ratios "
-                "of lengths are correct; give --mass and --stiffness for metres"
+                "the weight is not known, so positions are in units of weight / stiffness, written as m. "
+                "Times and ratios of lengths are correct. Add --mass and --stiffness to obtain metres"
             )
             return 1.0, "units of weight, as an extension in units of weight / stiffness"
         weight = options.mass.value * GRAVITY
@@ -331,11 +337,11 @@ def _read_position_unit(
     size, name = read_unit(cells, column, options.force_unit, "force", "--force-unit", warnings)
     if not is_stated(cells, column, options.force_unit):
         warnings.append(
-            f"{cells.label(column)} has no unit, so N is assumed; for a force divided by the weight give "
+            f"{cells.label(column)} has no unit, so N is assumed; for a force divided by the weight, use "
             "--force-unit weight"
         )
     if options.stiffness is None:
-        raise ValueError("a force without a stiffness")
+        raise ValueError("a force requires a stiffness")
     return size / options.stiffness.value, f"{name}, over {options.stiffness.value:g} N/m"
 
 
@@ -376,17 +382,17 @@ def _check_plain(kind: str, path: Path, options: ImportOptions) -> None:
     """Reject flags about text of any program for a file of a known form."""
     for flag, value in (("--preamble", options.preamble), ("--clock", options.clock)):
         if value:
-            raise InputError(f"{flag} is for text; this is {kind}", str(path), "omit it")
+            raise InputError(f"{flag} applies only to text files, but this is {kind}", str(path), "omit it")
 
 
 def _choose_time_reader(cells: table.Table, column: int, *, clock: bool) -> table.ColumnReader:
     if clock:
-        return column, _Clock().read, "a time of day, with a date such as 2026-03-27 if any"
+        return column, _Clock().read, "write times of day, with or without a date such as 2026-03-27"
     index, row = next(((index, row) for index, row in enumerate(cells.rows) if len(row) == cells.width), (0, None))
     if row is not None and cells.number(row[column]) is None and layout.read_clock(row[column]) is not None:
         what = f"{cells.label(column)} contains times of day such as {row[column].strip()}"
         where = cells.locate(int(cells.lines[index]), column)
-        raise InputError(what, where, "give --clock", python="give clock=True")
+        raise InputError(what, where, "add --clock", python="pass clock=True")
     return column, cells.number, "a number"
 
 
@@ -463,5 +469,7 @@ def _parse_start(text: str) -> datetime:
     except ValueError:
         start = None
     if start is None or start.tzinfo is None:
-        raise InputError(f"{text!r} is not a time with a zone", "--start", "write it like 2024-05-01T14:30:00+02:00")
+        raise InputError(
+            f"{text!r} is not a time with a time zone", "--start", "write it as in 2024-05-01T14:30:00+02:00"
+        )
     return start

@@ -230,7 +230,9 @@ class LiveRun(Publisher):
             ending = words.get(self.tail.ended, f"ended: {self.tail.ended}")
             self._end(f"Recording {ending}", duration=self._now)
         elif time.monotonic() - self._last_new > GONE_AFTER_S and not claim.is_locked(self.tail.path):
-            self._end(f"The recording process is gone. Save the data with daq recover {self.tail.path.name}")
+            self._end(
+                f"The recording process has ended unexpectedly. Save the data with daq recover {self.tail.path.name}"
+            )
 
     def mark(self, text: str) -> None:
         """Store a marker next to the journal; pages receive it with the sample that the finaliser assigns to it."""
@@ -307,7 +309,7 @@ class LiveRun(Publisher):
         while len(self._losses) > 1 and self._losses[1][0] < self._now - LOSS_SHOWN_S:
             self._losses.popleft()
         if self.tail.port_lost:
-            return f"the port was lost ({self.tail.port_lost}): the recorder is waiting for it"
+            return f"the port was lost ({self.tail.port_lost}), and the recorder is waiting for it"
         silent_s = time.monotonic() - self._last_new
         if silent_s > GONE_AFTER_S:
             return f"no sample for {silent_s:.0f} s"

@@ -46,8 +46,8 @@ HEADERS = {
 # The page at an address that is not a view's; it reveals nothing.
 NO_VIEW = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>no live view here</title><h1>There is no live view at this address</h1>
-<p>The address of a view changes each time one is started. Use the one that <code>daq watch</code> or
-<code>daq record --live</code> has printed, all of it.</p></html>
+<p>The address of a view changes each time one is started. Use the complete address that <code>daq watch</code> or
+<code>daq record --live</code> has printed.</p></html>
 """
 
 
@@ -74,9 +74,9 @@ def create_application(run: Publisher, token: str, host: str, on_end: Callable[[
         try:
             begin, end = (float(request.query_params[name]) for name in ("from", "to"))
         except (KeyError, ValueError):
-            return PlainTextResponse("give from and to, in seconds", 400)
+            return PlainTextResponse("from and to are required, in seconds", 400)
         if not (math.isfinite(begin) and math.isfinite(end)):
-            return PlainTextResponse("give from and to, in seconds", 400)
+            return PlainTextResponse("from and to are required, in seconds", 400)
         text = await asyncio.to_thread(run.stretch, begin, end)
         return Response(text, media_type="application/json")
 

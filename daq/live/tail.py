@@ -119,7 +119,7 @@ class JournalTail:
         """
         with self.path.open("rb") as file:
             if file.seek(0, os.SEEK_END) < self.bytes_read:
-                what = "is shorter than before: it belongs to another recording"
+                what = "is shorter than before, so it belongs to another recording"
                 raise InputError(what, str(self.path), "open the view of that recording")
             file.seek(self.bytes_read)
             content = journal.Content(journal.MAGIC + file.read(most_bytes))

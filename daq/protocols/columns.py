@@ -196,29 +196,29 @@ def parse_columns(declared: str | None) -> Columns:
         name, _, width = part.strip().partition(":")
         check_known(name, list(VALUES), "column", where)
         if name in names and name not in UNREAD:
-            raise InputError(f"column {name!r} occurs twice", where, "call what you do not need '-'")
+            raise InputError(f"column {name!r} occurs twice", where, "name columns that are not needed '-'")
         if name in MEASURED:
             if width and (not width.isdecimal() or int(width) > MOST_DECIMALS):
-                do = f"write {name}:2 for two, at most {MOST_DECIMALS}"
-                raise InputError(f"{part.strip()!r} is not a number of decimals", where, do)
+                do = f"write {name}:2 for two decimals; at most {MOST_DECIMALS} are possible"
+                raise InputError(f"{part.strip()!r} is not a valid number of decimals", where, do)
             decimals = int(width) if width else _DECIMALS[name]
         elif width and (width not in ("16", "32") or name not in _COUNTS):
-            raise InputError(f"{part.strip()!r} is not a width of a counter", where, "write up:16 or up:32")
+            raise InputError(f"{part.strip()!r} is not a valid counter width", where, "write up:16 or up:32")
         names.append(name)
         if name in _COUNTS:
             widths.add(int(width or 32))
     times = [name for name in names if name in TIMES]
     if len(times) != 1:
-        problem = "which column is the time?" if times else "a time column is required"
-        raise InputError(problem, where, "declare one of t_us, t_ms, t_s; a sketch prints it by micros()")
+        problem = "which column is the time?" if times else "a column of times is required"
+        raise InputError(problem, where, "declare one of t_us, t_ms, t_s; a sketch obtains the time with micros()")
     counts = sorted(name for name in names if name in (*_COUNTS, *MEASURED))
     if counts not in (["down", "up"], ["count"], ["ticks"], *([name] for name in MEASURED)):
         do = "declare up and down, or count (or ticks), or a position or force with its unit, such as x_mm or F_N"
         raise InputError("which columns are the counts?", where, do)
     if len(widths) > 1:
-        raise InputError("up and down differ in width", where, "give both the same, as in up:16,down:16")
+        raise InputError("up and down have different widths", where, "use the same width for both, as in up:16,down:16")
     if ("a" in names) != ("b" in names):
-        raise InputError("only one of two levels", where, "declare both a and b, or neither")
+        raise InputError("only one of the two logic levels is declared", where, "declare both a and b, or neither")
     return _make_columns(tuple(names), widths.pop() if widths else 32, (), decimals)
 
 
@@ -355,11 +355,11 @@ def explain_labels(line: bytes) -> tuple[str, str] | None:
     kinds = [_KINDS.get(label.lower()) for label in labels]
     text = f"the lines have the labels {', '.join(labels)}"[:200]
     if "time" in kinds and "position" not in kinds and kinds.count(LENGTH) == 1:
-        return f"{text}: the position has no unit", "give it by --columns t_us,x_mm, or x_m, x_cm, x_um"
+        return f"{text}, but the position has no unit", "state it with --columns t_us,x_mm, or x_m, x_cm, x_um"
     positions, times = f"{', '.join(_COUNT_LABELS)}, or up and down", ", ".join(_TIME_OF_LABEL)
     if not ("position" in kinds or {"up", "down"} <= set(kinds)):
-        return f"{text}: none is a position", f"label the position as one of {positions}"
+        return f"{text}, but none of them is a position", f"label the position as one of {positions}"
     if "time" not in kinds:
-        return f"{text}: none is a time", f"label the time as one of {times}"
+        return f"{text}, but none of them is a time", f"label the time as one of {times}"
     duplicate = "time" if kinds.count("time") > 1 else "position"
-    return f"{text}: more than one is a {duplicate}", "choose one by --columns, for example t_us,count"
+    return f"{text}, but more than one of them is a {duplicate}", "choose one with --columns, for example t_us,count"

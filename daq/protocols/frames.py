@@ -25,7 +25,11 @@ RATE_HZ = 1000
 def check(request: RecordRequest) -> None:
     """Refuse columns, which frames declare themselves, and an unknown decoder."""
     if request.columns is not None:
-        raise InputError("frames declare their columns themselves", "--columns", "omit it: it is for text")
+        raise InputError(
+            "with the protocol 'frames' the board declares the columns",
+            "--columns",
+            "omit it; it applies only to the protocol 'text'",
+        )
     if request.decoder is not None:
         check_known(request.decoder, frames.DECODERS, "decoder", "--decoder")
 
@@ -77,7 +81,7 @@ class Frames(Session):
             what = f"the board uses {identity.ident.block_size} samples per frame, not {plan.block} as requested"
             raise DeviceError(what, self.url, "update its firmware")
         if self.request.decoder not in (None, identity.ident.decoder):
-            what = f"the board decodes as {identity.ident.decoder} although {self.request.decoder} was requested"
+            what = f"the board decodes as {identity.ident.decoder}, although {self.request.decoder} was requested"
             raise DeviceError(what, self.url, "update its firmware, or omit --decoder")
         self._tick_ns = identity.ident.tick_ns
         self._ticks_per_sample = 1e9 / (plan.rate_hz * self._tick_ns)
@@ -121,7 +125,9 @@ class Frames(Session):
             self.received.append((time.monotonic_ns(), data))
             for frame in reader.feed(data):
                 if isinstance(frame, frames.Notice):
-                    raise DeviceError(f"the board refuses: {frame.text}", self.url, "request what it supports")
+                    raise DeviceError(
+                        f"the board refuses: {frame.text}", self.url, "request a setting that the board supports"
+                    )
                 if isinstance(frame, frames.Ident):
                     if frame.implausible:
                         what = f"the board's identification is implausible: {frame.implausible}"
@@ -134,13 +140,17 @@ class Frames(Session):
             if ident is not None and frames.Capability.CONFIG not in ident.capabilities:
                 return self._await_silence(ident, None)
         if ident is not None:
-            raise DeviceError("the board announces a CONFIG but does not send it", self.url, "reset it and try again")
+            raise DeviceError(
+                "the board announces a configuration (CONFIG) but does not send it", self.url, "reset it and try again"
+            )
         if bytes_heard:
-            what = f"no identification within {sessions.ANSWER_S:g} s, but {bytes_heard} bytes of something else"
-            do = "check the baud rate, and that the board runs stickslip firmware; else use --protocol qsb or text"
+            what = (
+                f"the board did not identify itself within {sessions.ANSWER_S:g} s, but sent {bytes_heard} other bytes"
+            )
+            do = "check the baud rate, and that the board runs stickslip firmware; otherwise use --protocol qsb or text"
             raise DeviceError(what, self.url, do)
         do = "check the port ('daq ports'), the cable, and that the board runs stickslip firmware"
-        raise DeviceError(f"no reply within {sessions.ANSWER_S:g} s", self.url, do)
+        raise DeviceError(f"the board did not reply within {sessions.ANSWER_S:g} s", self.url, do)
 
     def _drop_before(self, ident: frames.Ident) -> None:
         """Drop the bytes before an identification: noise from a board that was finding the baud rate."""

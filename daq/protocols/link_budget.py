@@ -40,7 +40,7 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
     if rate_hz > ident.max_rate_hz:
         what = f"{rate_hz:g} Hz exceeds the board's maximum, {ident.max_rate_hz} Hz"
         most = ident.max_rate_hz
-        raise InputError(what, "--rate", f"give --rate {most} or less", python=f"give rate_hz={most} or less")
+        raise InputError(what, "--rate", f"use --rate {most} or less", python=f"use rate_hz={most} or less")
     _check_roll_over(ident, rig, rate_hz)
     warnings = _check_edges(ident, rig)
     if baud is not None:
@@ -53,10 +53,10 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
         if load > room and plan.comes_already:
             return warnings  # more than a serial line carries: its baud rate is only a name, as with native USB
         if load > room:
-            do = "give {} or less, or a faster line"
+            do = "use {} or less, or a faster line"
             raise InputError(load_text, "--rate", do.format(f"--rate {most}"), python=do.format(f"rate_hz={most}"))
         if load > TIGHT * room:
-            warnings.append(f"{load_text}: no reserve; {int(TIGHT * most)} Hz would leave a reserve")
+            warnings.append(f"{load_text}. There is no reserve; at {int(TIGHT * most)} Hz there would be one")
     return warnings
 
 
@@ -89,7 +89,7 @@ def _check_roll_over(ident: frames.Ident, rig: Rig, rate_hz: float) -> None:
     if 1 / rate_hz >= safe:
         what = f"{rate_hz:g} Hz is too slow: the {ident.counter_bits}-bit counters may roll over in {safe:.3g} s"
         least = int(1 / safe) + 1
-        raise InputError(what, "--rate", f"give --rate {least} or more", python=f"give rate_hz={least} or more")
+        raise InputError(what, "--rate", f"use --rate {least} or more", python=f"use rate_hz={least} or more")
 
 
 def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:
@@ -98,6 +98,7 @@ def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:
     if peak <= ident.max_edge_rate_hz or ident.max_edge_rate_hz == 0:
         return []
     return [
-        f"a slip may reach {peak:.0f} edges/s ({SLIP_OVER_BELT:g} belt speeds) and this board can follow "
-        f"{ident.max_edge_rate_hz}: counts may be lost; see the illegal count, or use an encoder with fewer lines"
+        f"a slip may reach {peak:.0f} edges/s ({SLIP_OVER_BELT:g} belt speeds), but this board can follow "
+        f"only {ident.max_edge_rate_hz}. Counts may be lost. Check the illegal count, or use an encoder with "
+        "fewer lines"
     ]

@@ -49,13 +49,15 @@ _SPACE = b" \r\n"
 
 def check(request: RecordRequest) -> None:
     if request.rate_hz is not None and request.rate_hz > TICK_HZ:
-        what = f"{request.rate_hz} Hz is too fast for a QSB: its tick of 1/512 s allows at most {TICK_HZ} Hz"
-        raise InputError(what, "--rate", f"give --rate {TICK_HZ} or less, or use a board with our firmware")
+        what = f"{request.rate_hz} Hz is too fast for a QSB, whose tick of 1/512 s allows at most {TICK_HZ} Hz"
+        raise InputError(what, "--rate", f"use --rate {TICK_HZ} or less, or a board with stickslip firmware")
     if request.decoder is not None and request.decoder not in MODES:
         what = f"a QSB has no decoder {request.decoder!r}"
-        raise InputError(what, "--decoder", f"give {' or '.join(MODES)}")
+        raise InputError(what, "--decoder", f"use {' or '.join(MODES)}")
     if request.columns is not None:
-        raise InputError("records of a QSB have fixed columns", "--columns", "omit it: it is for text")
+        raise InputError(
+            "the records of a QSB have fixed columns", "--columns", "omit it; it applies only to the protocol 'text'"
+        )
 
 
 def make_ident(decoder: str | None) -> frames.Ident:
@@ -117,10 +119,12 @@ class Qsb(Session):
             if reply is not None:
                 return Identity(make_ident(self.request.decoder))
         if bytes_heard:
-            what = f"no identity within {sessions.ANSWER_S:g} s, but {bytes_heard} bytes of something else"
+            what = (
+                f"the device did not identify itself within {sessions.ANSWER_S:g} s, but sent {bytes_heard} other bytes"
+            )
             raise DeviceError(what, self.url, "check that it is a QSB, and --baud (230400 for a QSB)")
         do = "check the port ('daq ports'), the cable, and that it is a QSB"
-        raise DeviceError(f"no reply within {sessions.ANSWER_S:g} s", self.url, do)
+        raise DeviceError(f"the device did not reply within {sessions.ANSWER_S:g} s", self.url, do)
 
     def plan(self, identity: Identity) -> Plan:
         """Return the rate 512/n Hz that is nearest to the requested one."""

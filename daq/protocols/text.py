@@ -166,12 +166,12 @@ class Text(Session):
         if typical >= 1 << 31:
             problem = f"the time in the lines runs backwards, by {(1 << 32) - typical:.0f} us from line to line"
             raise DeviceError(
-                problem, self.url, "check which of --columns is the time; print micros() with each sample"
+                problem, self.url, "check which of the --columns is the time, and print micros() with each sample"
             )
         took, advanced = time.monotonic() - first_s, sum(steps) * TICK_NS / 1e9
         if took > 0.5 * sessions.ANSWER_S and advanced < SLOWEST * took:
             problem = f"the time in the lines advances by {1e3 * advanced:.3g} ms in {took:.3g} s"
-            raise DeviceError(problem, self.url, "give its unit by the column, as in --columns t_ms,count")
+            raise DeviceError(problem, self.url, "state its unit in the column name, as in --columns t_ms,count")
         self._coarse = all(ticks % MILLISECOND == 0 for ticks in times)
         self._even = typical > 0 and all(step > 0 and step % typical == 0 for step in steps)  # a line may be missing
         shortest, longest = 0.5 * typical, 1.5 * typical
@@ -193,23 +193,23 @@ class Text(Session):
         if requested is not None:
             if abs(rate_hz / requested - 1) > RATE_WITHIN:
                 what = f"the lines arrive at {rate_hz:.4g} Hz, not at {requested} Hz"
-                do = f"omit --rate, or give {round(rate_hz)}, or change the sketch"
-                python = f"give rate_hz=None, or {round(rate_hz)}, or change the sketch"
+                do = f"omit --rate, set it to {round(rate_hz)}, or change the sketch"
+                python = f"use rate_hz=None or rate_hz={round(rate_hz)}, or change the sketch"
                 raise InputError(what, "--rate", do, python=python)
             rate_hz = float(requested) if abs(rate_hz / requested - 1) < 0.01 else rate_hz
         else:
             rate_hz = float(f"{rate_hz:.3g}") if abs(float(f"{rate_hz:.3g}") / rate_hz - 1) < 0.005 else rate_hz
         notes = []
         if self._coarse and self._even:
-            what = "the times are whole milliseconds, evenly spaced: exact if a timer takes the samples"
-            notes.append(f"{what}; if they come from millis(), their errors are up to 1 ms: print micros() instead")
+            what = "the times are evenly spaced whole milliseconds, which are exact if a timer triggers the samples"
+            notes.append(f"{what}. If they come from millis(), their errors are up to 1 ms, so print micros() instead")
         elif self._coarse:
-            notes.append("the times are whole milliseconds, with errors up to 1 ms: print micros() instead")
+            notes.append("the times are whole milliseconds with errors up to 1 ms, so print micros() instead")
         if self._form.measured is not None and not self._form.measured[0]:
             example = self._form.declared.replace("x:", "x_mm:")
             notes.append(
-                f"the positions have no unit, and are recorded as counts of {self._form.measured[1]:g} of it: "
-                f"give the unit by --columns {example}, or --metres-per-count"
+                f"the positions have no unit, so they are recorded as counts of {self._form.measured[1]:g} of "
+                f"the unit. State the unit with --columns {example}, or use --metres-per-count"
             )
         return Plan(rate_hz, 1, rate_hz * self._line_bytes, tuple(notes), comes_already=True)
 
@@ -239,7 +239,7 @@ class Text(Session):
 
     def _explain_silence(self, bytes_heard: int, good: int, bad: int, example: bytes) -> tuple[str, str, str]:
         if bytes_heard == 0:
-            do = "check the port ('daq ports'), the cable, and that the sketch prints without a command"
+            do = "check the port ('daq ports'), the cable, and that the sketch prints without waiting for a command"
             return f"no data arrived within {sessions.ANSWER_S:g} s", self.url, do
         if bad > good:
             if (labels := explain_labels(example)) is not None:
@@ -248,8 +248,8 @@ class Text(Session):
             if self.request.columns is None:
                 form = "t_us,x_mm" if "." in example_text else "t_us,up,down"
                 do = f"declare the columns, as in --columns {form}, or print labels, as in t=1,pos=2; check --baud"
-                return f"the lines have no labels, and no columns are declared; one is {example_text!r}", self.url, do
-            problem = f"the lines do not match the columns {self.request.columns}; one is {example_text!r}"
+                return f"the lines, such as {example_text!r}, have no labels, and no columns are declared", self.url, do
+            problem = f"the lines, such as {example_text!r}, do not match the columns {self.request.columns}"
             return problem, self.url, "declare the actual columns by --columns, and check --baud"
         problem = f"only {good} lines arrived within {sessions.ANSWER_S:g} s"
         return problem, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
 WHERE = "daq.record"
-DO = "give blocks (t, x): times in s and positions in m, or integer counts, two arrays of one length"
+DO = "yield blocks (t, x) of two arrays with equal length: times in s, and positions in m or integer counts"
 RATE_WITHIN = 0.1  # relative deviation from the stated rate; a larger one is an error of the times' unit or the rate
 FEWEST_STEPS = 20  # before the rate of the times is believed
 
@@ -86,7 +86,7 @@ def _write_recording(
         raise RecordingInterruptedError("stopped before the first block", WHERE, "record again")
     if first is None:
         silent = f" in {taker.patience_s:g} s" if taker.ended == journal.SOURCE_SILENT else ""
-        raise DataError(f"the source gave no samples{silent}", WHERE, DO)
+        raise DataError(f"the source yielded no samples{silent}", WHERE, DO)
     settings: dict[str, Any] = {
         "protocol": blocks.NAME,
         "columns": blocks.COUNTS if first.counted else blocks.POSITIONS,
@@ -287,7 +287,7 @@ class _Taking:
         try:
             times, values = item
         except (TypeError, ValueError) as error:
-            what = f"block {self._number} is {_describe_item(item)}, not two arrays"
+            what = f"block {self._number} is {_describe_item(item)} instead of two arrays"
             do = f"{DO}; for complete arrays use daq.Recording.from_arrays(t, x).save(path)"
             raise InputError(what, WHERE, do) from error
         where = f"{WHERE}, block {self._number}"
@@ -300,7 +300,7 @@ class _Taking:
         if self._counted is not None and len(time) and counted != self._counted:
             kinds = "counts (integers)", "positions (floats)"
             what = f"block {self._number} has {kinds[not counted]} after {kinds[not self._counted]}"
-            raise InputError(what, WHERE, "give all blocks as one or the other: np.asarray(x, float)")
+            raise InputError(what, WHERE, "use the same kind in all blocks, as with np.asarray(x, float)")
         seconds = time.astype(np.float64)
         self._check_values(seconds, column)
         if len(seconds):
@@ -321,10 +321,10 @@ class _Taking:
             sample = int(wrong[0])
             before = float(time[sample - 1]) if sample else self._last_s
             what = f"time does not increase at sample {sample} in block {self._number}"
-            do = "give the times of one clock, in s, that go on from block to block"
+            do = "use the times of one clock, in s, that continue from block to block"
             raise InputError(f"{what}: {time[sample]:.9g} s after {before:.9g} s", WHERE, do)
         if len(time) and time[-1] - (self._first_s if self.taken else time[0]) > LONGEST_S:
-            raise InputError(f"its times reach {time[-1]:.3g} s", WHERE, "give times in s")
+            raise InputError(f"its times reach {time[-1]:.3g} s", WHERE, "use times in s")
 
     def _check_rate(self, time: Array) -> None:
         if self._steps is None:
@@ -336,8 +336,8 @@ class _Taking:
         rate_hz = 1 / float(np.median(self._steps))
         self._steps = None
         if abs(rate_hz / self.rate_hz - 1) > RATE_WITHIN:
-            what = f"the times step at {rate_hz:.4g} Hz, and rate_hz is {self.rate_hz:g}"
-            raise _WrongRateError(what, WHERE, f"give rate_hz={rate_hz:.4g}, or the times in s")
+            what = f"the times have a rate of {rate_hz:.4g} Hz, but rate_hz is {self.rate_hz:g}"
+            raise _WrongRateError(what, WHERE, f"use rate_hz={rate_hz:.4g}, or times in s")
 
 
 def _describe_item(item: Any) -> str:

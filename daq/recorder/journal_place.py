@@ -40,7 +40,7 @@ class JournalPlace:
             self.output = part.with_name(name)
         done = "was renamed" if renamed is not None else "was removed or unmounted"
         self.changes.append(
-            f"{before} {done} during the recording; the journal is now {part}, the run file {self.output}"
+            f"{before} {done} during the recording. The journal is now {part}, and the run file will be {self.output}"
         )
         self._say(self.changes[-1])
         return True
@@ -57,7 +57,10 @@ class JournalPlace:
             return True
         if not self._hopeless:
             self._hopeless = True
-            self._say(f"{self._writer.path} was removed or unmounted, and no other folder accepts the journal{reasons}")
+            self._say(
+                f"{self._writer.path} was removed or unmounted, and the journal cannot be written to any other "
+                f"folder{reasons}"
+            )
         return False
 
     def _folders(self) -> Iterator[Path]:

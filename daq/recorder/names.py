@@ -8,14 +8,16 @@ from pathlib import Path
 from stickslip.errors import InputError
 
 FORMATS = {"n": r"(0?\d+)?d?", "date": ""}  # format of each field, as a regular expression
-DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; for a brace itself write it twice"
+DO = "use {n}, {n:03} or {date}, as in 'run-{n:03}.h5'; write a literal brace twice"
 
 
 def complete_name(path: Path) -> Path:
     """Fill in the fields of a file name: {n} is the next free number in the folder, {date} the local time."""
     if "{" not in path.name and "}" not in path.name:
         if "{" in str(path.parent):
-            raise InputError("the folder's name contains a field", str(path), "use fields only in the file's name")
+            raise InputError(
+                "the name of the folder contains a field", str(path), "use fields only in the name of the file"
+            )
         return path
     try:
         parts = list(string.Formatter().parse(path.name))

@@ -20,11 +20,11 @@ class NoteFlags:
 
     title: Annotated[str | None, Parameter(help="Title of the run.")] = None
     operator: Annotated[str | None, Parameter(help="Who recorded.")] = None
-    sample: Annotated[str | None, Parameter(help="What was measured: the contact, the specimen.")] = None
-    note: Annotated[str | None, Parameter(help="Remarks, any text.")] = None
+    sample: Annotated[str | None, Parameter(help="Description of the contact or the specimen.")] = None
+    note: Annotated[str | None, Parameter(help="Remarks in any form.")] = None
     tag: Annotated[
         list[str] | None,
-        Parameter(negative=(), consume_multiple=False, help="A named value, NAME=VALUE; repeatable."),
+        Parameter(negative=(), consume_multiple=False, help="Named value, NAME=VALUE; repeatable."),
     ] = None
 
     def collect(self) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def parse_tags(typed: list[str]) -> dict[str, str]:
         name, equals, value = text.partition("=")
         name, value = name.strip(), value.strip()
         if not equals or not TAG.fullmatch(name):
-            do = "write NAME=VALUE, the name in letters, digits and underscores, such as humidity=45"
+            do = "write NAME=VALUE with a name of letters, digits and underscores, such as humidity=45"
             raise InputError(f"{text!r} is not a tag", "--tag", do)
         if name in values:
             raise InputError(f"{name} is given twice", "--tag", "omit one")
@@ -60,4 +60,4 @@ def check_text(text: str, flag: str) -> None:
     if not all(character.isprintable() or character in "\n\t" for character in text):
         raise InputError("the text has characters that cannot be printed", flag, "omit them")
     if len(text) > LONGEST:
-        raise InputError(f"the text has {len(text)} characters", flag, f"give at most {LONGEST}")
+        raise InputError(f"the text has {len(text)} characters", flag, f"use at most {LONGEST}")

@@ -59,10 +59,10 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     """Open a port for reading and writing; reads return after `READ_TIMEOUT_S` with the bytes that came."""
     import serial
 
-    do = "give a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
+    do = "use a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
     scheme, address, _ = url.partition("://")
     if address and scheme.lower() not in SCHEMES:
-        raise InputError(f"{scheme}:// is not a kind of port", url, do)
+        raise InputError(f"{scheme}:// is not a supported kind of port", url, do)
     if "rig_sim" not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append("rig_sim")
     # Two readers of one device would each get a part of the bytes.
@@ -72,7 +72,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     try:
         port = opened()
     except (ValueError, LookupError) as error:  # raised by pyserial for an unknown setting in the URL
-        raise InputError(f"cannot open such a port: {error}", url, do) from error
+        raise InputError(f"this kind of port cannot be opened: {error}", url, do) from error
     except OSError as error:  # SerialException is a subclass
         raise DeviceError(*explain_refusal(url, error)) from error
     _ask_for_low_latency(port)
@@ -111,7 +111,7 @@ def explain_refusal(url: str, error: OSError) -> tuple[str, str, str]:
     if code == errno.ENOENT or (url.startswith("/dev/") and not device.exists()):
         return "no such port", url, f"connect the board; {_list_present()}"
     if "://" in url:
-        return f"cannot connect: {error}", url, "check that the other end is running, and its address"
+        return f"cannot connect: {error}", url, "check the address, and that the program at the other end is running"
     return f"cannot open this port: {error}", url, f"check the name; {_list_present()}"
 
 
@@ -119,14 +119,14 @@ def list_ports() -> list[PortInfo]:
     """Return the serial devices of this machine, and the simulated rig, which is always present."""
     from serial.tools.list_ports import comports
 
-    ports = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' uses it when no --port is given", True)]
+    ports = [PortInfo(SIMULATED_RIG, "simulated rig, which 'daq record' uses if no --port is given", True)]
     for info in sorted(comports()):
         device = Path(info.device)
         usable = os.name == "nt" or _is_allowed(device)
         if info.description in ("n/a", "", None) and info.hwid in ("n/a", "", None) and not usable:
             continue  # a port of the machine itself with nothing behind it
         description = (
-            info.description if info.description not in ("n/a", None) else "serial port, no further information"
+            info.description if info.description not in ("n/a", None) else "serial port without further information"
         )
         ports.append(PortInfo(info.device, description, usable, "" if usable else permission_fix(device)))
     return ports

@@ -110,7 +110,7 @@ class Reader(threading.Thread):
                     if not self.waits:
                         time.sleep(PAUSE_S)
                 if self.tally.resets > resets:
-                    self._say("the board has restarted; its position restarts")
+                    self._say("the board has restarted, so the position starts again from zero")
                     self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
                     self.board.restart()
             except OSError as error:
@@ -136,7 +136,7 @@ class Reader(threading.Thread):
 
     def _explain_silence(self, heard: int) -> str:
         if heard:
-            return f"no new sample in the {heard} bytes received in {SILENT_S:g} s"
+            return f"the {heard} bytes received in {SILENT_S:g} s contain no new sample"
         return f"no data arrived for {SILENT_S:g} s"
 
     def _finish(self) -> None:
@@ -155,7 +155,7 @@ class Reader(threading.Thread):
         self.board.close()
         left_s = (self._samples - self.tally.reached) / self._rate_hz
         limit_s = min(REOPEN_S, left_s)
-        self._say(f"the port was lost ({why}); waiting up to {limit_s:.1f} s for it; Ctrl-C keeps the data so far")
+        self._say(f"the port was lost ({why}). Waiting up to {limit_s:.1f} s for it; Ctrl-C stops and keeps the data")
         waiting = Waiting(LONGEST_REOPEN_S)
         while waiting.step() < limit_s and not self._stopping.wait(REOPEN_EVERY_S):
             try:
@@ -174,7 +174,7 @@ class Reader(threading.Thread):
             return True
         if not self._stopping.is_set():
             self.ended = journal.PORT_LOST
-            self._say("the port was not reopened; the run ends here")
+            self._say("the port did not become available again, so the run ends here")
         return False
 
     def _keep(self, kind: int, data: bytes) -> None:

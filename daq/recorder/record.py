@@ -71,8 +71,8 @@ def check_request(request: RecordRequest) -> None:
         raise InputError(
             f"the rate is {request.rate_hz} Hz",
             "--rate",
-            "give 1 or more samples per second",
-            python="give rate_hz=1 or more",
+            "it must be 1 Hz or more",
+            python="it must be rate_hz=1 or more",
         )
     count_samples(request.duration_s, request.rate_hz or 1000)
     protocols.load(request.protocol).check(request)
@@ -114,19 +114,23 @@ def journal_exists(part: Path) -> InputError:
     """Return the error of a journal that exists already: another recorder's, or an unfinished one."""
     if claim.is_locked(part):
         what, do = claim.explain_lock(part)
-        return InputError(what, str(part), f"give another -o, or {do}", python="give another output, or wait for it")
+        return InputError(
+            what, str(part), f"choose another file with -o, or {do}", python="choose another output, or wait for it"
+        )
     return InputError(
-        "an earlier recording was not finished: its journal still exists",
+        "the journal of an earlier, unfinished recording still exists",
         str(part),
-        f"run 'daq recover {part}' to get its data, or delete it, or give another -o",
-        python=f"run 'daq recover {part}', or call daq.recover, to get its data; or delete it, or give another output",
+        f"run 'daq recover {part}' to save its data, delete it, or choose another file with -o",
+        python=f"run 'daq recover {part}', or call daq.recover, to save its data, delete it, or choose another output",
     )
 
 
 def count_samples(duration_s: float, rate_hz: float) -> int:
     if not 1 <= duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
         what = f"the duration is {duration_s:g} s, {duration_s * rate_hz:g} samples at {rate_hz:g} Hz"
-        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples", python="give seconds of it")
+        raise InputError(
+            what, "--duration", f"use a duration of 1 to {MOST_SAMPLES} samples", python="use a duration in seconds"
+        )
     return round(duration_s * rate_hz)
 
 
@@ -272,13 +276,13 @@ def _replace_calibration(request: RecordRequest, identity: Identity) -> str | No
     if not dimension:
         return rig.to_toml()
     if "metres_per_count" in request.stated:
-        what = "positions have a unit, but metres per count are given"
-        raise InputError(what, "--metres-per-count", "omit it: it is for counts")
+        what = "the positions have a unit, but metres per count are given"
+        raise InputError(what, "--metres-per-count", "omit it; it applies only to counts")
     pitch = Measured(size)
     if dimension == FORCE:
         if rig.stiffness is None:
-            what = "the columns give a force, and the stiffness of its spring is not known"
-            raise InputError(what, "--columns", "give --stiffness '10.5 N/m', or stiffness in the rig.toml")
+            what = "the columns contain a force, but the stiffness of its spring is not known"
+            raise InputError(what, "--columns", "add --stiffness '10.5 N/m', or a stiffness in the rig.toml")
         pitch = Measured(size / rig.stiffness.value, size * rig.stiffness.sd / rig.stiffness.value**2)
     return replace(rig, metres_per_count=pitch, counts_per_revolution=None).to_toml()
 

@@ -155,10 +155,10 @@ def record(
             request = replace(request, port=source, rate_hz=_check_whole(rate))
             return record_board(request, progress=progress, say=say, stop=stop)
         if isinstance(source, Mapping) or not isinstance(source, Iterable):
-            what = f"the source is a {type(source).__name__}"
-            raise InputError(what, WHERE, "give a port, a URL, or an iterable of blocks (t, x)")
+            what = f"the source must not be a {type(source).__name__}"
+            raise InputError(what, WHERE, "pass a port, a URL, or an iterable of blocks (t, x)")
         if rate is None or not SLOWEST_HZ <= rate <= FASTEST_HZ:
-            raise InputError(f"rate_hz is {rate_hz}", WHERE, "give the samples per second of the source")
+            raise InputError(f"rate_hz is {rate_hz}", WHERE, "pass the samples per second of the source")
         stored = Rig.from_toml(request.calibration or "", str(rig))
         used = stored.stating(request.stated)
         warnings = [row.text for row in find_replaced(stored, used)]
@@ -201,7 +201,7 @@ def recover(
 
     part = Path(journal)
     if part.suffix != ".part":
-        raise InputError("is not a journal", str(part), "give the RUN.h5.part that the recording left")
+        raise InputError("is not a journal", str(part), "use the file RUN.h5.part of the recording")
     target = part.with_suffix("") if output is None else Path(output)
     suffix.check_run(target)
     return finalise(part, target, finished_by="daq recover", force=force)
@@ -209,7 +209,7 @@ def recover(
 
 def _check_whole(rate_hz: float | None) -> int | None:
     if rate_hz is not None and not rate_hz.is_integer():  # nor are infinity and NaN
-        raise InputError(f"rate_hz is {rate_hz}", WHERE, "a port takes whole Hz, such as rate_hz=1000")
+        raise InputError(f"rate_hz is {rate_hz}", WHERE, "a port requires whole Hz, such as rate_hz=1000")
     return None if rate_hz is None else int(rate_hz)
 
 
@@ -217,7 +217,7 @@ def _read_text(rig: Path) -> str:
     try:
         return rig.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read ({error})", str(rig), "give a rig.toml") from error
+        raise InputError(f"cannot be read ({error})", str(rig), "use a rig.toml") from error
 
 
 @contextlib.contextmanager

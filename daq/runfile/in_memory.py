@@ -22,7 +22,7 @@ Made = TypeVar("Made", bound=RunData)
 # Decimals of a position in m.  A coarser power of ten of which all readings are multiples is taken in their place; half
 # as many are 30 um, more than most encoders resolve, and at 18 a belt of 9 m no longer fits into a whole number.
 FINEST_DECIMALS = 9
-DO = "give a sequence of numbers"
+DO = "pass a sequence of numbers"
 # Share of the largest reading by which a decimal may be off where binary numbers hold it, after a change of units or
 # two.
 ULPS = 4.0
@@ -42,9 +42,13 @@ def from_arrays(
     check_type(title, str, "title", "from_arrays", "text")
     times, values = numbers(time, "time", "from_arrays", DO), numbers(position, "position", "from_arrays", DO)
     if len(times) != len(values):
-        raise InputError(f"time has {len(times)} values and position {len(values)}", "from_arrays", "give one each")
+        raise InputError(
+            f"time has {len(times)} values, but position has {len(values)}",
+            "from_arrays",
+            "pass one value for each sample",
+        )
     if len(times) < 2:
-        raise InputError(f"time and position have {len(times)} sample(s)", "from_arrays", "give two or more")
+        raise InputError(f"time and position have {len(times)} sample(s)", "from_arrays", "pass two or more")
     seconds = times.astype(np.float64)
     seconds = seconds - seconds[0]
     quantities = read_all_stated(**stated)
@@ -54,9 +58,9 @@ def from_arrays(
         _check_finite(column, name)
     count = read_counts(values, pitch, "position")
     if (wrong := explain_impossible(seconds, metres)) is not None:
-        raise InputError(wrong, "from_arrays", "give times in s that increase, and positions in m or counts")
+        raise InputError(wrong, "from_arrays", "pass increasing times in s, and positions in m or counts")
     if count is None and (moved := explain_implausible(seconds, metres)) is not None:
-        warnings.warn(f"are the positions in m? {moved}; if they are in mm, give x / 1000", UserWarning, stacklevel=3)
+        warnings.warn(f"are the positions in m? {moved}; if they are in mm, pass x / 1000", UserWarning, stacklevel=3)
     rig = Rig().stating(quantities)
     started = datetime.now(UTC)
     run = make(
@@ -76,7 +80,9 @@ def from_arrays(
     belt = numbers(belt_position, "belt_position", "from_arrays", DO).astype(np.float64)
     if len(belt) != len(seconds):
         raise InputError(
-            f"belt_position has {len(belt)} values and time {len(seconds)}", "from_arrays", "give one each"
+            f"belt_position has {len(belt)} values, but time has {len(seconds)}",
+            "from_arrays",
+            "pass one value for each sample",
         )
     _check_finite(belt, "belt_position")
     return add_belt(run, belt)
@@ -91,8 +97,8 @@ def read_counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: st
     whole = np.rint(values)
     off = np.flatnonzero(~(values == whole))
     if off.size:
-        what = f"{name} is {values[off[0]]:g} at sample {off[0]}, not a count, but metres_per_count is given"
-        raise InputError(what, name, "give whole counts, or omit metres_per_count if these are metres")
+        what = f"{name} is {values[off[0]]:g} at sample {off[0]}, which is not a count, but metres_per_count is given"
+        raise InputError(what, name, "pass whole counts, or omit metres_per_count if these are metres")
     return np.asarray(whole, np.int64)
 
 

@@ -18,7 +18,7 @@ from stickslip.output import atomic, disk
 from stickslip.version import VERSION
 
 SUFFIX = ".fit.h5"
-KEPT = "move it away, or --force to replace it"
+KEPT = "move it, or use --force to replace it"
 
 
 def name_output(files: Sequence[Path], suffix: str = SUFFIX) -> Path:
@@ -35,9 +35,9 @@ def refuse_foreign_file(path: Path, runs: Sequence[Recording], *, force: bool = 
         with open_joint_fit(path) as entry:
             digests = nexus.read_texts(entry, "runs/sha256_raw", path)
     except (InputError, *trust.DAMAGE) as error:
-        raise InputError("exists and is not a joint fit", str(path), KEPT) from error
+        raise InputError("exists and is not the file of a joint fit", str(path), KEPT) from error
     if sorted(digests) != sorted(run.digest for run in runs):
-        raise InputError("exists and is the joint fit of other runs", str(path), KEPT)
+        raise InputError("exists and contains the joint fit of other runs", str(path), KEPT)
 
 
 def write(path: Path, runs: Sequence[Recording], writer: Callable[[h5py.Group], None], *, force: bool = False) -> None:
@@ -62,7 +62,7 @@ def write(path: Path, runs: Sequence[Recording], writer: Callable[[h5py.Group], 
 @contextmanager
 def open_joint_fit(path: Path) -> Iterator[h5py.Group]:
     """Open the file of a joint fit for reading, and yield its /entry."""
-    wrong = InputError("is not the file of a joint fit", str(path), "give one that fit-friction wrote")
+    wrong = InputError("is not the file of a joint fit", str(path), "use a file that fit-friction wrote")
     try:
         file = trust.open_trusted(path)
     except OSError as error:

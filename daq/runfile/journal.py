@@ -85,7 +85,7 @@ class Records:
             for number in numbers:
                 record = journal_records.read_record(content, self._places[number], whole=False)
                 if record is None:
-                    raise OSError(errno.EIO, "has changed while it was read", str(self.path))
+                    raise OSError(errno.EIO, "changed while it was read", str(self.path))
                 yield record
 
     def of_kind(self, *kinds: int) -> Iterator[Record]:
@@ -221,7 +221,7 @@ def _create(path: Path) -> tuple[IO[bytes], FileLock | None]:
         return file, FileLock(path)
     except BlockingIOError as error:  # another recorder looks whether it is one without data (`remove_empty`)
         file.close()
-        raise FileExistsError(error.errno, "another recorder uses it", str(path)) from error
+        raise FileExistsError(error.errno, "another recorder is using it", str(path)) from error
     except OSError:
         return file, None
 
@@ -268,7 +268,7 @@ def _open(path: Path) -> BinaryIO:
         raise make_missing_error(path)
     if path.is_dir():
         raise make_folder_error(path)
-    return open_regular(path, "give a journal")
+    return open_regular(path, "use a journal")
 
 
 def _read(path: Path, content: Content) -> Journal:
@@ -276,7 +276,7 @@ def _read(path: Path, content: Content) -> Journal:
         raise InputError("contains no record: the recording ended immediately", str(path), "delete it and record again")
     damaged = journal_records.wrong_in_magic(content)
     if damaged is None:
-        raise InputError("is not a journal of daq", str(path), "give the .part file that the recording left")
+        raise InputError("is not a journal of daq", str(path), "use the .part file of the recording")
     places, kinds, received = array("q"), bytearray(), 0
     header: Record | None = None
     whole = len(MAGIC)
@@ -311,19 +311,21 @@ def end_reason(record: Record) -> str:
 
 
 def make_missing_error(path: Path) -> InputError:
-    return InputError("no such journal", str(path), "give the .part file that the recording left")
+    return InputError("no such journal", str(path), "use the .part file of the recording")
 
 
 def make_folder_error(path: Path) -> InputError:
-    return InputError("is a folder", str(path), "give the .part file that the recording left")
+    return InputError("is a folder", str(path), "use the .part file of the recording")
 
 
 def _make_header_error(path: Path, size: int, received: int) -> InputError:
     if received:
-        what = f"its header is damaged, in every copy; {received} records of received bytes follow it"
-        return InputError(what, str(path), "keep it: the bytes are complete, but how they were recorded is unknown")
-    what = f"has no complete record in its {size} bytes: its header is cut short, or it is damaged throughout"
-    return InputError(what, str(path), "look for another copy of it, or record again")
+        what = f"all copies of its header are damaged; {received} records of received bytes follow"
+        return InputError(
+            what, str(path), "keep it: the bytes are complete, but the settings of the recording are unknown"
+        )
+    what = f"contains no complete record in its {size} bytes, because it is cut short or damaged"
+    return InputError(what, str(path), "use another copy of it, or record again")
 
 
 def markers_path(run: Path) -> Path:

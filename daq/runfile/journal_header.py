@@ -17,7 +17,7 @@ SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e7
 MOST_SAMPLES = 2_000_000_000  # the run file's sample numbers (uint32) hold twice as many
 LAST_NS = 4_102_444_800_000_000_000  # the year 2100
 DIGEST = "sha256_raw"  # a field of the provenance that is made with the run file
-DO = "keep it: its samples are complete, but how they were recorded is unknown"
+DO = "keep it: its samples are complete, but the settings of the recording are unknown"
 
 
 def _is_text(value: Any) -> bool:
@@ -100,7 +100,7 @@ def parse(text: bytes, path: Path) -> dict[str, Any]:
         if name in header and not may_be(header[name]):
             shown_value = repr(header[name])
             shown_value = shown_value if len(shown_value) <= 40 else shown_value[:37] + "..."
-            raise InputError(f"its header gives {name} as {shown_value}, not {what}", str(path), DO)
+            raise InputError(f"{name} in its header is {shown_value} instead of {what}", str(path), DO)
     return {name: _storable(value) for name, value in header.items()}
 
 

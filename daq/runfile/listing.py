@@ -50,7 +50,7 @@ def list_runs(folders: Sequence[Path]) -> list[RunRow]:
             files = sorted(item for item in folder.iterdir() if item.name.endswith((".h5", ".h5.part")))
         except OSError as error:
             what = "is a file" if folder.is_file() else f"cannot be listed: {error.strerror}"
-            raise InputError(what, str(folder), "give a folder of runs") from error
+            raise InputError(what, str(folder), "use a folder that contains runs") from error
         rows += [RunRow(file, problem=UNFINISHED) if file.suffix == ".part" else _read_run(file) for file in files]
     return sorted(rows, key=lambda row: (row.date is None, row.date or "", row.runs or 0, str(row.file)))
 

@@ -110,7 +110,7 @@ def read_array(entry: h5py.Group, name: str, dtype: Any, where: Path, selected: 
     item = read_dataset(entry, name, where)
     if item.ndim != 1 or item.dtype.kind not in "iuf" or not np.can_cast(item.dtype, dtype, "same_kind"):
         form = f"{item.ndim}-dimensional {item.dtype}"
-        raise InputError(f"/entry/{name} is {form}, not one column of {np.dtype(dtype)}", str(where), AGAIN)
+        raise InputError(f"/entry/{name} is {form} instead of one column of {np.dtype(dtype)}", str(where), AGAIN)
     return item[selected].astype(dtype, copy=False)
 
 

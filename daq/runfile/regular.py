@@ -29,7 +29,7 @@ def open_regular(path: Path, do: str) -> BinaryIO:
     if stat.S_ISDIR(kind):
         raise InputError("is a folder", where, do)
     what = "is a pipe, not a file" if stat.S_ISFIFO(kind) else "is a device, not a file"
-    raise InputError(what, where, "save the data to a file first, and give its name")
+    raise InputError(what, where, "save the data to a file first, and use that file")
 
 
 def _name_similar(path: Path) -> str:

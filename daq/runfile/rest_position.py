@@ -26,15 +26,15 @@ def question_rest_position(x0: Measured, low: float, high: float) -> str:
         return ""
     if low <= -x0.value <= high:
         return (
-            f"{_describe_outside(x0, outside, low, high)}, and {format_length(-x0.value)} lies inside it; is its sign "
-            "correct? x0 is the reading with the spring relaxed (--x0), a datum is -x0"
+            f"{_describe_outside(x0, outside, low, high)}, and {format_length(-x0.value)} lies inside it. Is "
+            "its sign correct? x0 is the reading with the spring relaxed (--x0), and a datum is -x0"
         )
     if outside - X0_ERRORS * x0.sd <= FAR * (high - low):
         return ""
     fall = 50 * (high - low) / (outside + (high - low))
     return (
-        f"{_describe_outside(x0, outside, low, high)}; are its sign and its unit correct? "
-        f"Friction would fall by {fall:.2g} % of Fs in a slip"
+        f"{_describe_outside(x0, outside, low, high)}. Are its sign and its unit correct? Friction would fall "
+        f"by {fall:.2g} % of Fs in a slip"
     )
 
 
@@ -44,8 +44,8 @@ def explain_impossible(x0: Measured, low: float, high: float, direction: float) 
     if not direction or beyond <= X0_ERRORS * x0.sd:
         return ""
     return (
-        f"{_describe_outside(x0, beyond, low, high)}, on the side to which the belt runs: the spring would pull the "
-        "mass along with the belt, and friction would hold it back"
+        f"{_describe_outside(x0, beyond, low, high)}, on the side towards which the belt moves. The spring "
+        "would then pull the mass along with the belt, and friction would hold it back"
     )
 
 

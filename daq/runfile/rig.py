@@ -60,7 +60,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         if self.datum is not None and self.x0 is not None:
-            raise InputError("datum and x0 are both given", "rig", "give x0 alone: datum is -x0")
+            raise InputError("datum and x0 are both given", "rig", "give only x0; the datum is -x0")
 
     @property
     def offset(self) -> float:
@@ -89,7 +89,7 @@ class Rig:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
             values |= _read_section(section, content, where)
         if "datum" in values and "x0" in values:
-            raise InputError("encoder.datum and rig.x0 are both given", where, "give x0 alone: datum is -x0")
+            raise InputError("encoder.datum and rig.x0 are both given", where, "give only x0; the datum is -x0")
         return cls(**values)
 
     def to_toml(self) -> str:
@@ -132,8 +132,8 @@ def find_replaced(stored: Rig, used: Rig) -> list[Replaced]:
         if difference > sum(errors):
             unit = si_unit(OF_QUANTITY[name])
             text = (
-                f"{name}: {now.value:g} {unit} overrides the stored {before.value:g} {unit}, "
-                "which differs by more than the errors"
+                f"{name}: {now.value:g} {unit} overrides the stored value, {before.value:g} {unit}, and the "
+                "two differ by more than their errors"
             )
             sigmas = difference / math.hypot(*errors) if any(errors) else math.nan
             replacements.append(Replaced(text, now.value, before.value, sigmas))
@@ -169,7 +169,7 @@ def _read_section(section: str, content: Any, where: str) -> dict[str, Any]:
     for key in SECTIONS[section]:
         if key in QUANTITIES:
             if f"{key}_sd" in content and key not in content:
-                raise InputError(f"{section}.{key}_sd is given without {section}.{key}", where, f"add or remove {key}")
+                raise InputError(f"{section}.{key}_sd requires {section}.{key}", where, f"add or remove {key}")
             if key in content:
                 values[key] = check_measured(
                     key,

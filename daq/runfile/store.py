@@ -75,8 +75,10 @@ def select_between(path: str | os.PathLike[str], begin: float | None, end: float
     last = time.size if end is None else int(np.searchsorted(time, end, side="right"))
     if last - first < 2:
         requested = f"{time[0] if begin is None else begin:g} to {time[-1] if end is None else end:g} s"
-        what = f"fewer than two samples from {requested}; the run lasts from {time[0]:.6g} to {time[-1]:.6g} s"
-        raise InputError(what, str(path), "give other times with --from and --to")
+        what = (
+            f"there are fewer than two samples from {requested}; the run lasts from {time[0]:.6g} to {time[-1]:.6g} s"
+        )
+        raise InputError(what, str(path), "choose other times with --from and --to")
     return slice(first, last)
 
 
@@ -204,7 +206,7 @@ def annotate(
         for seconds, text in marks:
             if not 0 <= seconds <= time[-1]:
                 what = f"the marker at {seconds:g} s is outside the run, which lasts {time[-1]:.6g} s"
-                raise InputError(what, "--mark", "give a time since the first sample")
+                raise InputError(what, "--mark", "use a time since the first sample")
             run = _add_marker(run, int(np.argmin(np.abs(time - seconds))), text)
         shutil.copyfile(target, temporary)
         with disk.open_hdf5(temporary, "r+") as file, trust.damage(target):
@@ -248,24 +250,26 @@ def _add_marker(run: Recording, sample: int, text: str) -> Recording:
 def open_run(path: Path) -> Iterator[h5py.File]:
     """Open a run file for reading; InputError says what the file is instead."""
     where = str(path)
-    open_regular(path, "give the run file in it").close()
+    open_regular(path, "choose a run file in it").close()
     with _open(path) as file:
         mark = trust.read_mark(file)
         if mark is None and trust.is_joint(file):
-            raise InputError("is the file of a joint fit, not of a run", where, "give the runs that were fitted")
+            raise InputError("contains a joint fit, not a run", where, "use the runs that were fitted")
         if mark is None:
             raise InputError(
-                "is HDF5 but not a run file (it has no @stickslip_schema)",
+                "is an HDF5 file but not a run file (it has no @stickslip_schema)",
                 where,
-                "give a file made by daq record, daq import or daq replay",
+                "use a file written by daq record, daq import or daq replay",
             )
         if not isinstance(mark, int | np.integer) or isinstance(mark, np.bool_):
             raise InputError(f"@stickslip_schema is {mark!r}, not a whole number", where, "record or import again")
-        what = f"has schema {int(mark)}; this version reads only schema {schema.SCHEMA}"
+        what = f"has schema {int(mark)}, but this version reads only schema {schema.SCHEMA}"
         if mark > schema.SCHEMA:
             raise InputError(what, where, "install a newer stickslip")
         if mark < schema.SCHEMA:
-            raise InputError(what, where, "make it again: daq recover on its journal, or daq import on its CSV")
+            raise InputError(
+                what, where, "make it again with 'daq recover' from its journal, or with 'daq import' from its table"
+            )
         yield file
 
 
@@ -293,8 +297,8 @@ def _explain_unopened(path: Path, error: OSError) -> InputError:
         return InputError(
             what,
             str(path),
-            "give a run file; a CSV is read by daq import, a capture by daq replay",
-            python="give a run file or a table",
+            "use a run file; 'daq import' converts a table and 'daq replay' a capture",
+            python="pass a run file or a table",
         )
     detail = "is cut short" if "truncated" in str(error) else f"is damaged HDF5 ({str(error).splitlines()[0]})"
     return InputError(detail, str(path), trust.AGAIN)

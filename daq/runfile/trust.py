@@ -20,7 +20,7 @@ from daq.runfile.isolation import BrokenOffError, run_isolated
 from stickslip.errors import InputError
 
 DO = "do not trust this file; ask who made it"
-AGAIN = "copy it again from its source, or daq recover its journal"
+AGAIN = "copy it again from its source, or run 'daq recover' on its journal"
 # Bytes of data per byte of file.  Half an hour of a mass that never moved has 73, a moving one 3.3.  Half may refuse
 # such a run with all its stages; double lets a file of 3 MB fill 2 GB.
 MOST_EXPANSION = 300
@@ -156,7 +156,7 @@ class _Visit:
         size = max(math.prod(dataset.shape) * kind.itemsize, chunk)
         self._declared += size
         if self._declared > max(FREE_BYTES, MOST_EXPANSION * self._size):
-            raise self._refusal(f"{place} declares {size} bytes in a file of {self._size}")
+            raise self._refusal(f"{place} declares {size} bytes, but the file has {self._size}")
         if chunk and not kind.hasobject:
             self._check_chunks(dataset, creation, chunk, place)
         else:
@@ -166,7 +166,7 @@ class _Visit:
         """Refuse a dataset with a chunk that does not hold ``whole`` bytes."""
         filters = [creation.get_filter(index)[0] for index in range(creation.get_nfilters())]
         if filters != [code for code in FILTERS if code in filters]:
-            raise self._refusal(f"{place} uses a compression that no run has")
+            raise self._refusal(f"{place} uses a compression method that run files do not use")
         trailer = 4 if h5py.h5z.FILTER_FLETCHER32 in filters else 0
         offsets: list[tuple[int, ...]] = []
         dataset.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))

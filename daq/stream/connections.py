@@ -177,26 +177,27 @@ def find_contradictions(idents: Sequence[wire.Ident | None], configs: Sequence[s
     if len(reported) > 1:
         changes = "; then ".join(describe_ident(ident) for ident in reported)
         sentences.append(
-            f"the board identified itself again, differently: {changes}; each segment is read by its identification"
+            f"the board identified itself again with different values: {changes}. Each segment is read with "
+            "its own identification"
         )
     decoders = list(dict.fromkeys(ident.decoder for ident in reported))
     unrelated = [decoder for decoder in decoders if decoder not in EDGES_PER_COUNT]
     if len(decoders) > 1 and unrelated:
         sentences.append(
-            f"the decoder changed between {' and '.join(decoders)}, and the ratio of their counts is unknown: "
-            f"positions of segments other than {decoders[0]} may have another scale"
+            f"the decoder changed between {' and '.join(decoders)}, and the ratio of their counts is unknown. "
+            f"Positions may be scaled wrongly in segments with a decoder other than {decoders[0]}"
         )
     elif len({EDGES_PER_COUNT[decoder] for decoder in decoders if decoder not in unrelated}) > 1:
         sentences.append(
-            f"the decoder changed between {' and '.join(decoders)}: all counts are in those of {rig.decoder}, and the "
-            f"metres per count are those of {decoders[0]}, divided accordingly"
+            f"the decoder changed between {' and '.join(decoders)}. All counts are converted to counts of "
+            f"{rig.decoder}, and the metres per count of {decoders[0]} are divided accordingly"
         )
     pitches = [pitch for config in dict.fromkeys(configs) if (pitch := _pitch(config)) is not None]
     differing = next((each for each in pitches if _contradict(each, pitches[0])), None)
     if differing is not None:
         sentences.append(
-            f"the board sent another calibration, {differing.value:g} m per count where it was {pitches[0].value:g}: "
-            "positions are made with the first of them, or with the one given"
+            f"the board sent a second calibration, {differing.value:g} m per count instead of "
+            f"{pitches[0].value:g}. Positions are computed with the first one, or with a stated value"
         )
     return sentences
 

@@ -196,7 +196,7 @@ def encode_samples(block: SampleBlock) -> bytes:
     except struct.error as error:
         raise ValueError(f"sample block at seq {block.seq} does not fit its frame: {error}") from error
     if n == 0:
-        raise ValueError("a sample block of 0 samples is no frame; give 1 to 255")
+        raise ValueError("a sample block must have 1 to 255 samples, not 0")
     return enframe(head + body)
 
 
@@ -219,7 +219,7 @@ def encode_truth(truth: TruthFrame) -> bytes:
     """Return a TRUTH frame; ValueError for no or more than 255 rows."""
     n = len(truth.rows)
     if not 1 <= n <= 255:
-        raise ValueError(f"a truth frame of {n} rows; give 1 to 255")
+        raise ValueError(f"a truth frame must have 1 to 255 rows, not {n}")
     flat = [value for row in truth.rows for value in row]
     return enframe(_TRUTH.pack(TRUTH, VERSION, n, truth.seq) + struct.pack(f"<{4 * n}d", *flat))
 

@@ -82,7 +82,7 @@ class Decoder:
 
     def __init__(self, kind: str, levels: int | None = None) -> None:
         if kind not in DECODERS:
-            raise ValueError(f"decoder is {kind!r}; need one of {', '.join(DECODERS)}")
+            raise ValueError(f"the decoder must be one of {', '.join(DECODERS)}, not {kind!r}")
         self.kind = kind
         self.levels = levels
         self.latched_up = True
@@ -157,7 +157,7 @@ class Decoder:
 def _check_levels(levels: ArrayLike) -> NDArray[np.uint8]:
     chunk = np.asarray(levels, dtype=np.uint8)
     if len(chunk) and chunk.max() > 3:
-        raise ValueError(f"levels of {chunk.max()} at sample {int(chunk.argmax())}; need A + 2 B, 0 to 3")
+        raise ValueError(f"levels must be A + 2 B, 0 to 3, not {chunk.max()} (at sample {int(chunk.argmax())})")
     return chunk
 
 

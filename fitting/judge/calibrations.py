@@ -50,11 +50,15 @@ def apply_user_values(runs: Sequence[Run], competitors: Competitors) -> list[Run
         for law in competitors.laws
     }
     if len(runs) > 1 and any("v_dr" in values for values in of_laws.values()):
-        raise InputError("one belt speed for several runs", "v_dr", "leave it out: each run finds its own")
+        raise InputError(
+            "a joint fit does not accept one belt speed for all runs",
+            "v_dr",
+            "omit it: a belt speed is fitted for each run",
+        )
     mass = runs[0].motion
     if competitors.in_newtons and mass.mass is None and mass.stiffness is None:
         name = competitors.in_newtons[0]
-        raise InputError(f"{name} has a unit with newtons, and the mass is not known", name, "give --mass as well")
+        raise InputError(f"{name} has a unit that contains newtons, but the mass is not known", name, "add --mass")
     return [
         replace(
             run, user_values={law: _convert(values, run.motion.sign, mass) for law, values in of_laws.items() if values}
@@ -109,7 +113,9 @@ def _newtons(name: str, motion: MeasuredMotion) -> float:
     """Return the factor from a value per unit mass to ``name``: the mass, or 1 where it is unknown."""
     if motion.mass is None and motion.stiffness is not None:
         do = f"give {name}{PER_MASS}, per unit mass, or --mass instead of --stiffness"
-        raise InputError(f"{name} depends on k/m, which is fitted, where the stiffness is known", name, do)
+        raise InputError(
+            f"{name} cannot be converted: with a stated stiffness the mass depends on k/m, which is fitted", name, do
+        )
     return 1.0 if motion.mass is None else motion.mass.value
 
 
@@ -195,9 +201,9 @@ def _make_finding(code: str, measured: Measured, stated: Measured) -> Finding:
     spread, unit = math.hypot(measured.sd, stated.sd), UNITS[code]
     sigmas = abs(measured.value - stated.value) / spread if spread > 0 else 0.0
     text = (
-        f"{code.replace('-', ' ')}: {stated.value:.4g} {unit} was stated, the record shows {measured.value:.4g} "
-        f"+- {measured.sd:.2g} {unit} ({sigmas:.3g} standard deviations apart); no law describes the record with the "
-        "stated one"
+        f"{code.replace('-', ' ')}: the stated value, {stated.value:.4g} {unit}, differs from the fitted one, "
+        f"{measured.value:.4g} +- {measured.sd:.2g} {unit}, by {sigmas:.3g} standard deviations. No law "
+        "describes the record with the stated value"
     )
     return Finding(code, text, measured.value, stated.value, sigmas)
 
@@ -218,9 +224,9 @@ def find_other_contact(each: Sequence[Mapping[int | str, Mapping[str, Parameter]
         return None
     first, second = each[i][law][name], each[j][law][name]
     text = (
-        f"these runs are not one contact: law {law} describes each of them alone, with {name} = {first.value:.4g} +- "
-        f"{first.stderr:.2g} {first.unit} in run {i + 1} and {second.value:.4g} +- {second.stderr:.2g} {second.unit} "
-        f"in run {j + 1}"
+        f"these runs do not share one contact: law {law} describes each run separately, but with {name} = "
+        f"{first.value:.4g} +- {first.stderr:.2g} {first.unit} in run {i + 1} and {second.value:.4g} +- "
+        f"{second.stderr:.2g} {second.unit} in run {j + 1}"
     )
     return Finding("not-one-contact", text, second.value, first.value, sigmas)
 

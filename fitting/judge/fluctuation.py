@@ -49,15 +49,15 @@ def find_other_break_away(runs: Sequence[BreakAways], level: float, unit: str) -
         return []
     measured = mean * level
     text = (
-        f"break-away: friction at the measured break-aways is {measured:.4g} +- {error * level:.2g} {unit}, that "
-        f"of the law at rest {level:.4g} {unit}"
+        f"break-away: the measured friction at break-away is {measured:.4g} +- {error * level:.2g} {unit}, "
+        f"but the law gives {level:.4g} {unit} at rest"
     )
     growth = _growth([(*levels, run.error) for levels, run in zip(each, runs, strict=True)])
     if growth is not None and len(runs) > 1:
         size = f"{100 * growth.value:.2g} +- {100 * growth.sd:.1g} %"
-        text += f"; by the runs' means it grows by {size} of that for every e-fold of the time at rest"
+        text += f". From run to run it grows by {size} when the time at rest grows e-fold"
     elif growth is not None and growth.value > ERRORS_SHOWN * growth.sd:
-        text += f"; it grows by about {100 * growth.value:.2g} % of that for every e-fold of the time at rest"
+        text += f". It grows by about {100 * growth.value:.2g} % when the time at rest grows e-fold"
     return [Finding("break-away", text, measured, level, abs(mean - 1) / sd)]
 
 

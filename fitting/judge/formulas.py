@@ -171,7 +171,7 @@ def fit_formulas(
             fit = fit_memory(law, six[0].problem.runs, _nearest(others))
             fit = (isinstance(fit, Fit) and name_better_limit(fit, others)) or fit
         elif not (sustained or asked):
-            fit = "the mass does not stick again and again, as under friction that falls"
+            fit = "the mass does not stick repeatedly, as it does if friction decreases with speed"
         elif curve is not None:
             fit = _fit(law, curve, others, asked=asked)
         if isinstance(fit, str):
@@ -219,13 +219,13 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
             gain = 2 * host.residual.size * math.log(other.geometric_mean_rms / host.geometric_mean_rms)
             worth = host.task.curve.size - other.law_parameters + math.log(host.residual.size)
             if law.contains(other.law) and gain < worth:
-                return f"it contains law {other.law.name}, which no curve fits better: the record cannot exclude it"
+                return f"it contains law {other.law.name} as a special case, and no curve fits better than that law"
     try:
         fit = fit_formula(law, curve, others=others)
     except InputError as error:
         return error.what.removeprefix(f"law {law.name} is ")
     if fit is None:
-        return "its motion cannot be followed"
+        return "its motion could not be computed"
     spline, found = curve.spline_fit.spline, fit.law_values
     friction, fastest = float(np.median(spline.coefficients)), float(spline.knots[-1])
     free = fit.task.curve.free
@@ -235,7 +235,7 @@ def _fit(law: Law, curve: MeasuredCurve, others: Sequence[Fit], *, asked: bool) 
         return worse
     for other in others:
         if not (asked or other.law.number or other.law.name in PUBLISHED) and _draws(other.law, fit, curve.spline_fit):
-            return f"law {other.law.name} can be the same curve"
+            return f"law {other.law.name} can have the same curve"
     return fit
 
 
@@ -260,8 +260,8 @@ def _draws(law: Law, rival: Fit, host: Fit) -> bool:
 
 def _said(law: Law, how: str, names: Sequence[str]) -> str:
     if len(names) == 1:
-        return f"law {law.name}: {how}; leave it out"
+        return f"law {law.name}: {how}; omit it"
     return (
-        f"law {law.name}: {how}: the record cannot determine them apart, and their errors are withheld (fix all but "
-        f"one, as in --fix {law.name}.{names[-1]}=1, or write one parameter for them)"
+        f"law {law.name}: {how}, so the data cannot determine them separately, and their errors are withheld. "
+        f"Fix all but one, as in --fix {law.name}.{names[-1]}=1, or replace them by one parameter"
     )

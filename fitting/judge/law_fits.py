@@ -40,11 +40,13 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     cut = cycles.segment_cycles(motion, excluded)
     unknown_numbers = sorted(excluded - {cycle.number for cycle in cut.cycles})
     if unknown_numbers and cut.cycles:
-        message = f"no cycle {', '.join(map(str, unknown_numbers[:5]))}: the run has {len(cut.cycles)}"
-        raise InputError(message, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
+        message = (
+            f"cycle {', '.join(map(str, unknown_numbers[:5]))} does not exist: the run has {len(cut.cycles)} cycles"
+        )
+        raise InputError(message, "--exclude-cycles", f"use numbers from 1 to {len(cut.cycles)}")
     if len(excluded) == len(cut.cycles) >= noise_levels.FEWEST:
-        message = f"all {len(cut.cycles)} cycles are left out; a verdict needs {noise_levels.FEWEST}"
-        raise InputError(message, "--exclude-cycles", "leave out fewer")
+        message = f"all {len(cut.cycles)} cycles are excluded, but a verdict needs {noise_levels.FEWEST}"
+        raise InputError(message, "--exclude-cycles", "exclude fewer cycles")
     run = Run(motion, cut)
     return _remove_ripple(run) if cut.sustained else run
 
@@ -86,7 +88,7 @@ def fit_runs(
     fits = [fit for fit in fits if fit.law in laws]
     if not sustained and not fits:
         raise DataError(
-            "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
+            "without a sustained stick friction is constant, but neither law 1 nor law 2 was requested",
             records[0].recording.where,
             "add --laws 1,2",
         )
@@ -160,18 +162,21 @@ def _check_cycles(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Ki
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
-            "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this run alone"
+            "this run has no sustained stick, but other runs have",
+            grazing,
+            "fit runs of one contact only, or fit this run separately",
         )
     count = sum(len(run.cut.used) for run in runs)
     if count < noise_levels.FEWEST:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            refuse(f"{count} whole swing{'' if count == 1 else 's'} in it, and no stick", records)
+            refuse(f"it has {count} complete swing{'' if count == 1 else 's'}, but no stick", records)
         if count:  # recording longer would not help if this is not stick-slip
             refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
         excluded = sum(len(run.cut.cycles) for run in runs) - count
-        out = f", {excluded} more left out" if excluded else ""
+        out = f" ({excluded} more are excluded)" if excluded else ""
         raise DataError(
-            f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {noise_levels.FEWEST}",
+            f"the record has {count} complete stick-slip cycle{'' if count == 1 else 's'}{out}, but a verdict "
+            f"needs {noise_levels.FEWEST}",
             ", ".join(sources),
             _remedy(runs, sustained=sustained),
         )
@@ -183,11 +188,11 @@ def _check_cycles(laws: Sequence[Law], runs: Sequence[Run], records: Sequence[Ki
 
 def _remedy(runs: Sequence[Run], *, sustained: bool) -> str:
     if any(map(_exclusions, runs)):
-        return "leave out fewer (--exclude-cycles)"
+        return "exclude fewer cycles (--exclude-cycles)"
     if not sustained and all(run.cut.starts_at_rest and screening.dies_away(run.motion.velocity) for run in runs):
         return (
-            "the oscillation dies away after the belt starts, so a longer record has no more: record several starts of "
-            "the belt and fit these runs together, or reduce the damping"
+            "the oscillation dies away after the belt starts, so a longer record does not help; record "
+            "several starts of the belt and fit them jointly, or reduce the damping"
         )
     return "record longer"
 

@@ -165,7 +165,7 @@ def wavelengths(trajectory: FittedMotion) -> Array:
 DEPARTURES = (
     Departure(
         name="spring-nonlinear",
-        text="a spring whose stiffness changes with its stretch",
+        text="a nonlinear spring (its stiffness depends on its extension)",
         parameter="k3/m",
         unit="m^-2 s^-2",
         with_mass=("k3", "N/m^3"),
@@ -173,7 +173,7 @@ DEPARTURES = (
     ),
     Departure(
         name="drag-quadratic",
-        text="drag that grows with the square of the velocity",
+        text="quadratic drag (proportional to the square of the velocity)",
         parameter="q/m",
         unit="m^-1",
         with_mass=("q", "N s^2/m^2"),
@@ -182,7 +182,7 @@ DEPARTURES = (
     ),
     Departure(
         name="guide-friction",
-        text="dry friction of the mass in its guide",
+        text="dry friction in the guide of the mass",
         parameter="Fg/m",
         unit="m s^-2",
         with_mass=("Fg", "N"),
@@ -203,14 +203,14 @@ DEPARTURES = (
     ),
     Departure(
         name="belt-drift",
-        text="a belt whose speed drifts",
+        text="a drifting belt speed",
         parameter="(dv_dr/dt)/v_dr",
         unit="s^-1",
         forcing=drift_of_belt,
     ),
     Departure(
         name="belt-ripple",
-        text="a belt whose speed ripples at another frequency",
+        text="a ripple of the belt speed at another frequency",
         parameter="r",
         unit="m/s",
         columns=2,
@@ -221,14 +221,14 @@ DEPARTURES = (
     ),
     Departure(
         name="stiffness-drift",
-        text="a spring whose stiffness drifts",
+        text="a drifting spring stiffness",
         parameter="(dk/dt)/k",
         unit="s^-1",
         forcing=drift_of_stiffness,
     ),
     Departure(
         name="second-mode",
-        text="a second mass on a spring of its own",
+        text="a second mode of vibration (a second mass on a second spring)",
         parameter="m2/m",
         unit="",
         columns=2,
@@ -239,7 +239,7 @@ DEPARTURES = (
     ),
     Departure(
         name="friction-by-belt-position",
-        text="friction that changes along the belt",
+        text="friction that varies along the belt",
         parameter="a",
         unit="",
         columns=2,
@@ -250,7 +250,7 @@ DEPARTURES = (
     ),
     Departure(
         name="friction-by-mass-position",
-        text="friction that changes along the travel of the mass",
+        text="friction that varies along the path of the mass",
         parameter="a",
         unit="",
         columns=2,

@@ -52,7 +52,23 @@ LARGEST_LOG = 300.0  # logarithm of the factor between a value and the end of it
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value with its standard error and confidence interval."""
+    """A fitted value with its standard error and confidence interval.
+
+    Attributes
+    ----------
+    value : float
+        Value in ``unit``.
+    stderr : float
+        Standard error.
+    lo, hi : float
+        Ends of the confidence interval.
+    unit : str
+        Unit, such as ``s/m``; empty if the parameter is dimensionless.
+    trusted : bool
+        False if the law does not describe the record; the error is then too small and is not shown.
+    fixed : bool
+        True if the value was stated and not fitted.
+    """
 
     value: float
     stderr: float

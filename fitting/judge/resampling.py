@@ -33,7 +33,11 @@ PROFILE_REACH, PROFILE_STEPS = 3.0, 6
 def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dict[str, Array]:
     """Return parameters of n draws: by name arrays (draws,), per unit mass, of the first run."""
     if not (isinstance(n, int) and n >= 2):
-        raise InputError(f"n is {n!r}", "bootstrap", "give 2 draws or more; 200 show a standard error to 5 %")
+        raise InputError(
+            f"n must be a whole number, 2 or more, not {n!r}",
+            "bootstrap",
+            "use 200 draws to obtain a standard error to within 5 %",
+        )
     rng, problem = np.random.default_rng(seed), fit.least_squares
     independent = independent_parameters(fit, motion)
     spread = np.where(problem.precision > 0, 1 / np.sqrt(np.where(problem.precision > 0, problem.precision, 1.0)), 0.0)
@@ -52,7 +56,7 @@ def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dic
         if solution is not None:
             draws.append(independent.at(solution.u, unconstrained) * scale**independent.lengths)
     if len(draws) < FEWEST_FITTED * n:
-        message = f"{n - len(draws)} of {n} draws of cycles cannot be fitted"
+        message = f"{n - len(draws)} of {n} bootstrap samples could not be fitted"
         raise DataError(message, "bootstrap", "use the covariance, or record more cycles")
     return dict(zip(independent.names, np.array(draws).T, strict=True))
 
@@ -67,10 +71,10 @@ def profile(fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter
     parameter, unknown = parameters[name], unknown_of(fit, motion, name)
     if unknown is None:
         profiled = [other for other in parameters if unknown_of(fit, motion, other) and not parameters[other].fixed]
-        raise InputError(f"{name} follows from other parameters", "profile", f"take one of {', '.join(profiled)}")
+        raise InputError(f"{name} is computed from other parameters", "profile", f"choose one of {', '.join(profiled)}")
     (index, value), problem = unknown, fit.least_squares
     if parameter.fixed or problem.lower[index] == problem.upper[index]:
-        raise InputError(f"{name} is fixed", "profile", "name a parameter that is fitted, or leave it out of fix")
+        raise InputError(f"{name} is fixed", "profile", "choose a fitted parameter, or remove it from fix")
     minimum = _refit(problem, fit.q, fit.local) or fit.solution
     middle = float(minimum.u[index])
     sd = math.sqrt(max(float(covariance[index, index]) for covariance in covariances(fit)))
@@ -87,7 +91,7 @@ def profile(fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter
             neighbour = solution
             points.append((value(u), solution))
     if len(points) == 1:
-        raise DataError(f"the motion cannot be followed with other values of {name}", "profile", "use its interval")
+        raise DataError(f"the motion cannot be computed for other values of {name}", "profile", "use its interval")
     points.sort(key=lambda point: point[0])
     return {
         "value": np.array([x for x, _ in points]),

@@ -159,7 +159,7 @@ LEAST_FRICTION = 1e-3  # friction over the spring's force in a slip, below which
 SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which times are unreliable
-NONE_NEAR = "no law comes near it"
+NONE_NEAR = "no law fits even roughly"
 NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
@@ -173,7 +173,7 @@ def refusal(
     sources = ", ".join(record.recording.where for record in records)
     findings = [finding for findings_of_run in contradicted for finding in findings_of_run]
     if findings:
-        error = DataError(findings[0].text, sources, "check its value and its sign, or leave it out")
+        error = DataError(findings[0].text, sources, "check its value and its sign, or omit it")
         error.add_result({"findings": [vars(finding) for finding in findings]}, [])
         return error
     return DataError(*_no_stick_slip(why, runs, records, sources))
@@ -181,18 +181,22 @@ def refusal(
 
 def _no_stick_slip(why: str, runs: Sequence[Run], records: Sequence[Kinematics], sources: str) -> tuple[str, str, str]:
     if why == SINE_ALONE:
-        do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
-        return f"no belt stick-slip in this record: {why}", sources, do
+        do = "start recording before the belt starts: the first drag distinguishes law 1 from law 2"
+        return f"no stick-slip was detected: {why}", sources, do
     if why in (NONE_NEAR, NOT_DESCRIBED):
         share = 100 * records[0].plateau_fraction
-        why += f", and it sticks for {share:.2g} % of the time" if records[0].sticks else ", and it shows no stick"
+        why += (
+            f", and the mass sticks for {share:.2g} % of the time"
+            if records[0].sticks
+            else ", and the mass never sticks"
+        )
         samples, slip_s = min(_slip_sampling(run.motion, record) for run, record in zip(runs, records, strict=True))
         if samples < ENOUGH_SAMPLES:
-            why += f", at {round(samples)} samples a slip"
-            rate = f"{_round_up(ENOUGH_SAMPLES / slip_s):g} Hz or more, {ENOUGH_SAMPLES} samples a slip"
-            do = f"look at it with 'process inspect'; if it sticks and slips, record at {rate}"
-            return f"no belt stick-slip in this record: {why}", sources, do
-    return f"no belt stick-slip in this record: {why}", sources, AGAIN
+            why += f" ({round(samples)} samples per slip)"
+            rate = f"{_round_up(ENOUGH_SAMPLES / slip_s):g} Hz or more ({ENOUGH_SAMPLES} samples per slip)"
+            do = f"look at the record with 'process inspect'; if the mass sticks and slips, record at {rate}"
+            return f"no stick-slip was detected: {why}", sources, do
+    return f"no stick-slip was detected: {why}", sources, AGAIN
 
 
 def refuse_wrong_times(record: Kinematics) -> None:
@@ -207,10 +211,10 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
     samples = round(samples_per_slip)
     if samples >= FEWEST_SAMPLES:
         return
-    message = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
+    message = f"the record has {samples} samples per slip, but a verdict needs {FEWEST_SAMPLES}"
     lasts = f"{slip_s:.3g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
     # one sample more than needed: the number in a slip is accurate to one sample (`fitting.record.motion`)
-    do = f"record at {_round_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts about {lasts}"
+    do = f"record at {_round_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more, because a slip lasts about {lasts}"
     error = DataError(message, record.recording.where, do)
     finding = Finding("samples-per-slip", f"{message}: {do}", float(samples), float(FEWEST_SAMPLES))
     error.add_result({"findings": [vars(finding)]}, [])
@@ -233,7 +237,7 @@ def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
     low, high = sorted((motion.sign * float(motion.position.min()), motion.sign * float(motion.position.max())))
     wrong = explain_impossible(rest, low, high, motion.sign)
     if wrong:
-        do = 'check its sign: x0 is the reading at the spring\'s rest, --x0 "60 mm +- 1 mm"'
+        do = 'check its sign: x0 is the reading with the spring relaxed, as in --x0 "60 mm +- 1 mm"'
         raise InputError(wrong, record.recording.where, do)
 
 
@@ -247,8 +251,8 @@ def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) ->
 
 def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
     return DataError(
-        f"about {percent} % of the frames are {kind} although the times are even: the times are wrong, and every "
-        "parameter with them",
+        f"about {percent} % of the frames are {kind} although the time stamps are evenly spaced, so all times "
+        "and fitted parameters would be wrong",
         record.recording.where,
         "import the track with the camera's own time stamps ('daq import --time NAME'), or record again and keep them",
         python="load the track with the camera's own time stamps: daq.load(path, time='NAME')",
@@ -278,7 +282,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
     cycles = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
     if not cycles:
         flags = ", ".join(dict.fromkeys(cycle.flag for cycle in cut.cycles))
-        return f"every cycle is left out ({flags})" if flags else _reject_by_motion(motion)
+        return f"all cycles are excluded ({flags})" if flags else _reject_by_motion(motion)
     begin = np.searchsorted(motion.time, [cycle.break_away for cycle in cycles])
     end = np.minimum(np.searchsorted(motion.time, [cycle.landing for cycle in cycles]), motion.time.size - 1)
     turned = _reversal(motion, begin, end)
@@ -288,9 +292,13 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation) -> str:
             f"--from {turned:.4g}"
         )
     if float(np.median(_speed_changes(motion, begin, end))) < EVEN_SLIP:
-        return "between its sticks the mass moves at a constant speed, and a spring would accelerate it"
+        return "the mass moves at a constant speed between sticks, whereas a spring would accelerate it"
     rested = len(cycles) - len(cut.used)
-    return f"the mass stands still in {rested} of {len(cycles)} supposed slips" if 2 * rested >= len(cycles) else ""
+    return (
+        f"the mass is at rest in {rested} of the {len(cycles)} intervals between sticks"
+        if 2 * rested >= len(cycles)
+        else ""
+    )
 
 
 def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained: bool) -> str:
@@ -324,10 +332,11 @@ def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: boo
     if best is None:
         return NONE_NEAR
     if best.law.ramp and best.values.d > best.values.v_dr:
-        return f"law {best.law.name} fits best, with a ramp wider than the belt speed"
+        return f"the best fit (law {best.law.name}) has a ramp wider than the belt speed"
     if sustained and best.values.F < LEAST_FRICTION * best.values.K * longest:
         return (
-            f"law {best.law.name} fits best, with friction below {LEAST_FRICTION:g} of the spring's force over a slip"
+            f"the friction of the best fit (law {best.law.name}) is less than {LEAST_FRICTION:g} of the "
+            "spring force in a slip"
         )
     return ""
 
@@ -335,14 +344,14 @@ def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: boo
 def _reject_by_motion(motion: MeasuredMotion) -> str:
     v = motion.velocity
     if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
-        return "nothing moves beyond the noise" if motion.travel else "nothing moves"
+        return "the mass moves less than the noise" if motion.travel else "the mass does not move"
     if v.min() >= SLIP_SPEED * motion.belt_speed:
-        return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
+        return f"the mass moves at {motion.sign * np.median(v):.3g} m/s and never slips"
     if _is_sine(motion):
         return SINE_ALONE
     if v.max() < SLIP_SPEED * motion.belt_speed:
-        return f"the mass never moves with the belt, nominal speed {motion.sign * motion.belt_speed:.3g} m/s"
-    return "no slip between two sticks"
+        return f"the mass never moves with the belt (nominal speed {motion.sign * motion.belt_speed:.3g} m/s)"
+    return "there is no slip between two sticks"
 
 
 def _reversal(motion: MeasuredMotion, begin: Integers, end: Integers) -> float | None:

@@ -182,14 +182,17 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     source = recording.where
     if recording.unit != "m":
         raise InputError(
-            "positions are in counts: this rig has no metres per count",
+            "positions are in counts because the metres per count are not known",
             source,
-            f"add metres_per_count to a rig.toml, then: daq replay {recording.source.name} --rig rig.toml -o NEW.h5",
-            python="give metres_per_count: daq.Recording.from_arrays(time, counts, metres_per_count='7.67 um')",
+            f"add metres_per_count to a rig.toml, then run: daq replay {recording.source.name} --rig rig.toml "
+            "-o NEW.h5",
+            python="pass metres_per_count: daq.Recording.from_arrays(time, counts, metres_per_count='7.67 um')",
         )
     typed = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
     if isinstance(typed, Measured) and typed.value == 0:
-        raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
+        raise InputError(
+            "belt speed is 0", "--belt-speed", "a belt at rest cannot cause stick-slip; give its speed in m/s"
+        )
     resolution, step = _resolution(kinematics)
     used = _mark_used(kinematics)
     begin = float(kinematics.time[0])
@@ -200,7 +203,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     )
     if np.ptp(position) < 20 * resolution:
         raise DataError(
-            "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
+            "no stick-slip was detected: the mass does not move", source, "record while the belt drives the mass"
         )
     channel = _fit_channel_line(kinematics, typed)
     stated = typed if isinstance(typed, Measured) else rig.belt_speed
@@ -292,7 +295,7 @@ def _mark_broken(kinematics: Kinematics, interval: float, slip: float) -> NDArra
 def _fit_channel_line(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltLine | None:
     """Return the belt's line; None where its counts are not used or too few."""
     if isinstance(belt_speed, str) and belt_speed != "channel":
-        raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give channel, or a speed in m/s")
+        raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "use 'channel', or a speed in m/s")
     if belt_speed == "channel" and kinematics.belt_velocity is None:
         raise InputError(
             "the run has no belt counts",

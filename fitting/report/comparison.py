@@ -76,8 +76,8 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
     """Raise InputError if ``path`` cannot be written or, without ``force``, is not a comparison of these runs."""
     atomic.refuse_existing(path, force, mark=MARK, kind="comparison of runs", flag="--report")
     if path.exists() and not force and _mark(files) not in path.read_text(encoding="utf-8", errors="replace"):
-        do = "give another name (--report), or --force to replace it"
-        raise InputError("exists and is the comparison of other runs", str(path), do)
+        do = "choose another name (--report), or --force to replace it"
+        raise InputError("exists and compares other runs", str(path), do)
 
 
 def _mark(files: Sequence[Path]) -> str:

@@ -45,7 +45,9 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
     else:
         places = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
     if len({place.absolute() for place in places}) < len(places):
-        raise InputError("two runs share one report", ", ".join(map(str, places)), "give a name with --report")
+        raise InputError(
+            "two runs would have the same report", ", ".join(map(str, places)), "choose a name with --report"
+        )
     return places
 
 
@@ -61,13 +63,16 @@ def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[P
     named = set(NAMED.findall(text))
     if all(digest in text for digest in digests) and named <= set(digests):
         return
-    what, do = "exists and is the report of another run", "give another name (--report), or --force to replace it"
+    what, do = (
+        "exists and contains the report of another run",
+        "choose another name (--report), or --force to replace it",
+    )
     if len(files) == 1 and named and path.absolute() == default_path(files[0]).absolute():
         kept = _holder(named, files[0])
         if kept is None:
             return
         what += f", {kept.name}"
-    raise InputError(what, str(path), do, python="give another name, or force=True to replace it")
+    raise InputError(what, str(path), do, python="choose another name, or force=True to replace it")
 
 
 def _holder(digests: set[str], file: Path) -> Path | None:
@@ -153,7 +158,7 @@ def _badge(ranking: Ranking) -> tuple[str, str]:
         return "open", "no law describes the record"
     several = len(ranking.members) > 1
     if not ranking.adequacy.adequate:
-        return "open", "several laws fit, not judged" if several else "goodness of fit not judged"
+        return "open", "several laws fit, goodness of fit not judged" if several else "goodness of fit not judged"
     return ("open", "several laws describe the record") if several else ("alone", "describes the record")
 
 

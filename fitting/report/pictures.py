@@ -247,7 +247,7 @@ def portraits(ranking: Ranking) -> tuple[Figure, str]:
         axes.remove()
     drawn.supxlabel(drawing.POSITION, fontsize=9)
     drawn.supylabel(drawing.VELOCITY, fontsize=9)
-    return drawn, "Phase portraits of one cycle: as measured, and over it each law as fitted."
+    return drawn, "Phase portraits of one cycle: the measurement and each fitted law."
 
 
 def friction(ranking: Ranking) -> tuple[Figure, str]:
@@ -259,8 +259,8 @@ def friction(ranking: Ranking) -> tuple[Figure, str]:
     drawing.draw(axes, shown, ranking.motion, ranking.adequacy.curve)
     drawing.add_legend(drawn, [axes])
     named = ", ".join(row.name for row in rows)
-    measured = "along the cycles" if rows[0].fit.law.rate else "without a law, with its band"
-    return drawn, f"Friction against slip speed: measured {measured}, and {named}."
+    measured = "force balance" if rows[0].fit.law.rate else "model-free estimate with its band"
+    return drawn, f"Friction against slip speed: {measured}, and {named}."
 
 
 def laws(ranking: Ranking) -> tuple[Figure, str]:
@@ -268,7 +268,7 @@ def laws(ranking: Ranking) -> tuple[Figure, str]:
     styles = _styles(ranking)
     shown = [(row.fit, row.name, styles[row.law]) for row in shown_rows(ranking)]
     drawn = drawing.draw_both(shown, ranking.motion, ranking.adequacy.curve)
-    return drawn, "Friction against slip speed: the curves of the laws, at all speeds and at low ones."
+    return drawn, "Friction against slip speed: the curves of all laws, at all speeds and at low speeds."
 
 
 def residuals(ranking: Ranking) -> tuple[Figure, str]:
@@ -293,7 +293,7 @@ def residuals(ranking: Ranking) -> tuple[Figure, str]:
         axes.set_xlabel(time_label(ranking) if whole else drawing.SINCE_BREAK_AWAY)
     cells[0, 0].set_ylabel("residual (µm)")
     drawing.add_legend(drawn, cells[0], marks=4.0)
-    return drawn, "Residuals against time and against the time since the break-away, with the band of the noise."
+    return drawn, "Residuals against time, and against the time since break-away, with the noise band."
 
 
 def since_break_away(row: LawResult) -> Array:

@@ -80,10 +80,10 @@ def _table(path: str, *columns: Field) -> tree.Tree:
         columns[0],
         Field(f"{path}/score", "f8[l]", "", "log error above the best law's, penalised", value=_evidence("score")),
         Field(f"{path}/weight", "f8[l]", "", "weight of evidence", value=_evidence("weight")),
-        Field(f"{path}/in_set", "u1[l]", "", "1 in the confidence set", "rows.in_set"),
+        Field(f"{path}/in_set", "u1[l]", "", "1 if in the confidence set", "rows.in_set"),
         Field(f"{path}/rms", "f8[l]", "m", "of the residuals", "rows.rms_m"),
         Field(f"{path}/cycles", "u4[l]", "", "cycles fitted", "rows.cycles"),
-        Field(f"{path}/orbit_distance", "f8[l]", "", "to the measured orbit, of its size", "rows.orbit"),
+        Field(f"{path}/orbit_distance", "f8[l]", "", "to the measured orbit, relative to its size", "rows.orbit"),
         *columns[1:],
     )
 
@@ -98,13 +98,19 @@ def _evidence(name: str) -> Callable[[Ranking], list[float] | None]:
 
 
 def _cycles(path: str) -> tree.Tree:
-    title = "levels of each break-away over Fs"
+    title = "levels of each break-away relative to Fs"
     return (
         tree.table(path, "t", "static_level", title, auxiliary=("kinetic_scale",), optional=True),
         Field(f"{path}/t", "f8[c]", "s", "of the break-away", "events.t"),
-        Field(f"{path}/static_level", "f8[c]", "", "friction at the break-away over Fs", "events.break_away_level"),
-        Field(f"{path}/kinetic_scale", "f8[c]", "", "friction in the slip over the law's", "events.kinetic_scale"),
-        Field(f"{path}/used", "u1[c]", "", "1 where the cycle was fitted", value=_used),
+        Field(f"{path}/static_level", "f8[c]", "", "friction at break-away relative to Fs", "events.break_away_level"),
+        Field(
+            f"{path}/kinetic_scale",
+            "f8[c]",
+            "",
+            "friction in the slip relative to that of the law",
+            "events.kinetic_scale",
+        ),
+        Field(f"{path}/used", "u1[c]", "", "1 if the cycle was fitted", value=_used),
     )
 
 
@@ -149,10 +155,10 @@ ABOUT: tree.Tree = (
     Group("fit/parameters", "NXparameters"),
     Field("fit/parameters/verdict", "text", "", "in words", "verdict"),
     Field("fit/parameters/adequacy", "text", "", "whether a law describes the record", "adequacy.said"),
-    Field("fit/parameters/part", "text", "", "what was fitted, where not all was", "part", optional=True),
+    Field("fit/parameters/part", "text", "", "fitted part, unless the whole run was fitted", "part", optional=True),
     Field("fit/parameters/cpu_time", "f8", "s", "spent", "cpu_s"),
-    Field("fit/parameters/begin", "f8", "s", "of what was fitted", value=_end(0)),
-    Field("fit/parameters/end", "f8", "s", "of what was fitted", value=_end(-1)),
+    Field("fit/parameters/begin", "f8", "s", "of the fitted part", value=_end(0)),
+    Field("fit/parameters/end", "f8", "s", "of the fitted part", value=_end(-1)),
     Field("fit/parameters/warnings", "text[i]", "", "in words", "warnings", optional=True),
     Field("fit/parameters/not_fitted", "text[u]", "", "laws without a fit, and why", value=_unfitted, optional=True),
     Field("fit/parameters/sha256_smooth", "text", "", "of the smoothed velocity", value=_smoothed, optional=True),
@@ -167,11 +173,11 @@ FORMULAS = _table(
     Field("fit/formulas/row", "u1[l]", "", "from 1", value=lambda ranking: range(1, len(ranking.rows) + 1) or None),
     Field("fit/formulas/law_name", "text[l]", "", "of the law", value=_names),
     Field("fit/formulas/formula", "text[l]", "", "of the law", "rows.formula"),
-    Field("fit/formulas/asked", "u1[l]", "", "1 where it was asked for", "rows.asked"),
+    Field("fit/formulas/asked", "u1[l]", "", "1 if it was requested", "rows.asked"),
 )
 RUNS: tree.Tree = (  # of a joint fit, beside what `daq.runfile.joint` writes
-    Field("runs/begin", "f8[r]", "s", "of what was fitted", value=lambda fit: list(map(_end(0), fit.runs))),
-    Field("runs/end", "f8[r]", "s", "of what was fitted", value=lambda fit: list(map(_end(-1), fit.runs))),
+    Field("runs/begin", "f8[r]", "s", "of the fitted part", value=lambda fit: list(map(_end(0), fit.runs))),
+    Field("runs/end", "f8[r]", "s", "of the fitted part", value=lambda fit: list(map(_end(-1), fit.runs))),
     Field("runs/adequacy", "text[r]", "", "verdict on this run", value=lambda fit: [s.adequacy.said for s in fit.runs]),
     Field("runs/cycles", "u4[r]", "", "cycles fitted", value=lambda fit: _of_runs(fit, "cycles")),
     Field("runs/rms", "f8[r]", "m", "of the residuals", value=lambda fit: _of_runs(fit, "rms_m")),
@@ -197,7 +203,7 @@ def save(ranking: Ranking, *, force: bool = False) -> None:
         digests = (raw, recordings[0].digest), (stage.digest(entry), ranking.stages[0])
         for (now, before), done in zip(digests, ("recorded", "smoothed"), strict=True):
             if now != before:
-                what = f"it was {done} anew while it was fitted; the fit was not stored"
+                what = f"the run was {done} again during the fit, so the fit was not stored"
                 raise InputError(what, str(path), f"run: fit-friction {path.name}")
         for name in [name for name in entry if name.startswith("fit_law")]:
             del entry[name]
@@ -242,8 +248,8 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
         with path.open(newline="", encoding="utf-8", errors="surrogateescape") as file:
             others = {Path(row["file"]).name for row in csv.DictReader(file)} - {run.name for run in files}
         if others:
-            what = f"exists and is the ranking of another run, {min(others)}"
-            raise InputError(what, str(path), "give another name (--csv), or --force to replace it")
+            what = f"exists and contains the ranking of another run, {min(others)}"
+            raise InputError(what, str(path), "choose another name (--csv), or --force to replace it")
 
 
 def write_curve(path: Path, ranking: Ranking, curve: MeasuredCurve) -> None:

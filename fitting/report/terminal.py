@@ -66,7 +66,11 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
             smallest = page.smallest_departure(adequacy)
             lines.append(f"a deviation from this law above {smallest} would have been detected")
     if adequacy.departures:
-        title = "with a departure of the rig" if adequacy.rejected else "beside the law"
+        title = (
+            "departures with which a law describes the record"
+            if adequacy.rejected
+            else "departures that improve the fit of the law"
+        )
         table = application.table(title, ("departure", "sigmas", "size", "std. error", "unit", "explained"))
         table.columns[0].justify, table.columns[0].overflow = "left", "fold"
         for one in adequacy.departures:

@@ -92,8 +92,8 @@ class StartSearch:
     def minima(self) -> list[Start]:
         improved = [end for start in self._list_trials() if (end := self._improve(start)) is not None]
         if not improved:
-            why = self.refusal or InputError("no values were tried", "formula", "give first values")
-            message = f"law {self.law.name} is no friction curve with any of the values tried: {why.what}"
+            why = self.refusal or InputError("no values were tried", "formula", "set initial values")
+            message = f"law {self.law.name} is not a valid friction curve for any of the tried values: {why.what}"
             raise InputError(message, why.where, why.do)
         return self._select_valleys(sorted(improved, key=_order))
 
@@ -257,7 +257,7 @@ class StartSearch:
         index, kind = (lowest, "negative") if friction[lowest] < 0 else (0, "not above 0")
         position = self.law.curve.place(float(self.checked[index]), all_values)
         message = f"friction is {kind}, {friction[index]:.4g} m/s^2, {position}"
-        self.refusal = self.refusal or InputError(message, "formula", "give bounds, or a form that stays above 0")
+        self.refusal = self.refusal or InputError(message, "formula", "set bounds, or use a form that stays above 0")
         return False
 
 
@@ -333,7 +333,7 @@ class FormulaCurve(FrictionCurve):
         if friction.min() < 0:
             position = self.law.curve.place(float(s[np.argmin(friction)]), self.values(theta))
             message = f"law {self.law.name}: friction is negative, {friction.min():.4g} m/s^2, {position}"
-            raise InputError(message, "formula", "give bounds, or a form that stays above 0")
+            raise InputError(message, "formula", "set bounds, or use a form that stays above 0")
         return friction
 
     def slopes(self, theta: Array, s: Array) -> Array:

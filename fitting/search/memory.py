@@ -41,7 +41,7 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
     fitted to the others.  The belt is taken as steady: bristles swing after a landing, which sticks show as a ripple.
     """
     if any(run.motion.compliance is not None for run in runs):
-        return "a belt that slows under load is not modelled with memory"
+        return "laws with memory are not modelled on a belt that slows under load"
     steady = [replace(run, ripple=None) for run in runs]
     problem = MemoryProblem.of_law(law, steady)
     few_cycles = MemoryProblem.of_law(law, [_with_few_cycles(run) for run in steady])
@@ -54,14 +54,14 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
         tasks[0], [(start, None) for start in starts], smallest_other_error=nearest.geometric_mean_rms
     )
     if few is None:
-        return "its motion cannot be followed"
+        return "its motion could not be computed"
     if noise is not None and few.geometric_mean_rms > noise_levels.LOST * float(np.max(noise)):
         return "it does not describe the first cycles"
     task = memory_task(law, problem, begun[0][0])
     noise_seen = PassNoise(few.noise.sigma, np.ones(len(task.problem.cycles)))
     start = fit_cycles(task, warm_start(task, few.u)._replace(q=few.q), noise_seen)
     settled = settle_from_starts(task, [(start, noise_seen), (start, None)])
-    return "its motion cannot be followed" if settled is None else finish(settled) or settled
+    return "its motion could not be computed" if settled is None else finish(settled) or settled
 
 
 def starting_values(law: Law, problem: MemoryProblem, nearest: Fit) -> Iterator[tuple[dict[str, float], Array]]:

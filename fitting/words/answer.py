@@ -64,15 +64,15 @@ def over_compatible_laws(rows: Sequence[LawResult], compatible: Collection[int |
 def law_dependent(rows: Sequence[LawResult], compatible: Collection[int | str]) -> tuple[str, ...]:
     """Return the warnings that belt speed or k/m depend on the law, or that a law leaves a parameter undetermined."""
     warned = [
-        f"{name} is undetermined under law {law}, which the record does not exclude: its interval is withheld"
+        f"law {law}, which the record does not exclude, leaves {name} undetermined, so its interval is withheld"
         for name, law in _undetermined(rows, compatible)
     ]
     for name in ("v_dr", "k/m"):
         known = {row.law: row.parameters[name] for row in rows if row.law in compatible and name in row.parameters}
         if any(not (one.lo <= other.value <= one.hi) for one in known.values() for other in known.values()):
             unit = next(iter(known.values())).unit
-            values = ", ".join(f"{item.value:.4g} by law {law}" for law, item in known.items())
-            warned.append(f"{name} depends on the law, in {unit}: {values}; its interval contains that of each")
+            values = ", ".join(f"{item.value:.4g} under law {law}" for law, item in known.items())
+            warned.append(f"{name} (in {unit}) depends on the law: {values}. Its interval covers all of them")
     return tuple(warned)
 
 
@@ -113,7 +113,7 @@ def build_ranking(
     shared = [*([] if other_contact is None else [other_contact]), *_other_break_away(competition)]
     if together.fluctuation is not None:
         share = 100 * together.fluctuation
-        text = f"friction fluctuates at random within slips, by about {share:.2g} % of Fs: no law can describe it"
+        text = f"friction fluctuates at random within slips, by about {share:.2g} % of Fs, which no law can describe"
         shared.insert(0, Finding("random-within-slips", text, together.fluctuation, 0.0, 0.0))
     sides = []
     for number, record in enumerate(records):
@@ -137,8 +137,8 @@ def without_law(
     begun: float,
 ) -> Ranking:
     outcome = NONE_OF_SIX if len(options.competitors.six) == len(SIX) else NONE_FITTED
-    laws = "none of the six laws" if outcome == NONE_OF_SIX else outcome
-    words = verdict.name_contradictions(f"stick-slip, but {laws}: {reason}", contradicted)
+    laws = "none of the six laws describes it" if outcome == NONE_OF_SIX else outcome
+    words = verdict.name_contradictions(f"the record shows stick-slip, but {laws}: {reason}", contradicted)
     sides = []
     for run, record, contradictions in zip(runs, records, contradicted, strict=True):
         findings = (*record.findings, *contradictions)

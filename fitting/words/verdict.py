@@ -40,10 +40,10 @@ def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]])
     for one in (one for own in contradicted for one in own):
         unit, name = UNITS[one.code], one.code.replace("-", " ")
         if one.code not in clauses:
-            clauses[one.code] = f"{name} (stated {one.expected:.3g} {unit}, the record shows {one.value:.3g} {unit})"
+            clauses[one.code] = f"{name} ({one.expected:.3g} {unit}; the fit gives {one.value:.3g} {unit})"
     if not clauses:
         return verdict
-    return f"{verdict.removesuffix('.')}. It contradicts the stated {' and '.join(clauses.values())}."
+    return f"{verdict.removesuffix('.')}. This contradicts the stated {' and '.join(clauses.values())}."
 
 
 def _compatible(ranking: Ranking) -> str:
@@ -127,9 +127,9 @@ def _behind(best: LawResult, other: LawResult) -> str:
 
 def _constant_friction(ranking: Ranking) -> str:
     six, best = [row for row in ranking.rows if isinstance(row.law, int)], ranking.best
-    head = "no sustained stick: constant friction, "
+    head = "without a sustained stick, friction is constant: "
     if len([row for row in six if row.in_set]) == 1:
-        return head + f"{_with_parameters(best)}, by the start-up drag"
+        return head + f"{_with_parameters(best)}, from the start-up drag"
     if len(six) == 1:
         return head + f"{best.called}, the only law fitted"
     if slows_under_load(ranking.best.fit):
@@ -172,13 +172,13 @@ def _instead(adequacy: Adequacy) -> str:
         size = f"{first.parameter} = {first.value:.3g} +- {first.stderr:.2g} {first.unit}"
         return f"law {first.law} describes it together with {first.text} ({size})"
     if adequacy.of_speed:
-        return "friction follows a curve of relative speed that is none of these"
+        return "friction follows a different curve of relative speed"
     if adequacy.fluctuation is not None:
         return (
-            f"friction fluctuates at random within slips, by about {100 * adequacy.fluctuation:.2g} % of Fs (nothing "
-            "of the residual repeats from cycle to cycle)"
+            f"friction fluctuates at random within slips, by about {100 * adequacy.fluctuation:.2g} % of Fs "
+            "(no part of the residual repeats from cycle to cycle)"
         )
-    return "the residual repeats from cycle to cycle: a deterministic effect that none of these models has"
+    return "the residual repeats from cycle to cycle, so all of these models lack a deterministic effect"
 
 
 def _residual_of(best: LawResult, adequacy: Adequacy, laws: int) -> str:

@@ -27,29 +27,30 @@ def _of_fit(run: Ranking) -> Iterator[str]:
     motion, fit = run.motion, run.best.fit
     if fit.misfit > POOR_ERROR * motion.travel:
         yield (
-            f"no law fits well: the typical error of the best one is {100 * fit.misfit / motion.travel:.2g} % of the "
-            "motion"
+            f"no law fits well: the typical error of the best law is {100 * fit.misfit / motion.travel:.2g} % "
+            "of the travel"
         )
     failed = [row.law for row in run.rows if row.asked and row.fit.outcome not in ("converged", "step limit")]
     if failed:
         yield f"the fit of law {', '.join(map(str, failed))} did not converge: its error is an upper bound"
     if not run.sustained:
         yield (
-            "no sustained stick: Fs is the friction level of the one drag at the start-up; its interval excludes "
-            "the scatter of levels between break-aways, nor that of v_dr the belt's varying speed"
+            "without a sustained stick, only the drag at the start-up determines Fs. Its interval does not "
+            "include the scatter between break-aways, and that of v_dr does not include variations of the "
+            "belt speed"
         )
     if not run.sustained and not run.cut.shows_belt:
         yield (
-            "the drag at the start-up is too short to show the belt's speed or a ramp: without a calibration v_dr is "
-            "the highest sustained velocity, with an error of 100 %"
+            "the drag at the start-up is too short to determine the belt speed or a ramp. Without a stated "
+            "belt speed, v_dr is the highest sustained velocity, with an error of 100 %"
         )
 
 
 def _of_ramp(run: Ranking) -> Iterator[str]:
     if not run.motion.belt_measured and any(row.fit.problem.ramp for row in run.rows if row.in_set):
         yield (
-            "a ramp and a belt that slows under load look the same: laws 2, 4, 6 may be laws 1, 3, 5 on such a belt. "
-            "Measure the belt's speed"
+            "a ramp and a belt that slows under load look the same: laws 2, 4 and 6 may be laws 1, 3 and 5 on "
+            "such a belt. Measure the belt's speed"
         )
     width = _hidden_ramp(run)
     if width is not None:
@@ -60,8 +61,8 @@ def _of_calibration(run: Ranking) -> Iterator[str]:
     motion, parameters = run.motion, run.best.parameters
     if motion.datum_prior is None:
         yield (
-            "rest position x0 not given, so it was fitted: for laws 1 and 3 only x0 + Fs/k is then known. "
-            'Give --x0 "60 mm +- 0.1 mm"'
+            "the rest position x0 was not given, so it was fitted. For laws 1 and 3 only x0 + Fs/k is then "
+            'known. Give --x0 "60 mm +- 0.1 mm"'
         )
     else:
         stated = replace(motion.datum_prior, value=motion.sign * motion.datum_prior.value)
@@ -71,37 +72,44 @@ def _of_calibration(run: Ranking) -> Iterator[str]:
     fixed = any(name in parameters and parameters[name].fixed for name in ("c/m", "c"))
     if (motion.damping_prior is None or motion.per_mass) and not fixed:
         yield (
-            "damping not given: assumed 0 +- 1 % of critical, so laws 3 and 4 determine only G_slip - c. "
-            'Measure it with daq calibrate, or give --damping "0.02 +- 0.001" and --mass'
+            "the damping was not given, so 0 +- 1 % of the critical damping is assumed. Laws 3 and 4 then "
+            'determine only G_slip - c. Measure the damping with daq calibrate, or give --damping "0.02 +- '
+            '0.001" and --mass'
         )
     if motion.per_mass:
-        yield "no mass: forces are per kilogram. Give --mass or --stiffness for newtons"
+        yield "the mass is not known, so forces are per kilogram. Give --mass or --stiffness to obtain newtons"
 
 
 def _of_cycles(run: Ranking) -> Iterator[str]:
     omitted = [cycle for cycle in run.cut.cycles if cycle.flag not in ("", "excluded", "surplus")]  # not by the user
     if omitted:
-        yield f"cycles left out: {', '.join(f'{cycle.number} ({cycle.flag})' for cycle in omitted)}"
+        yield f"the fit excludes these cycles: {', '.join(f'{cycle.number} ({cycle.flag})' for cycle in omitted)}"
     if more := run.cut.surplus:
         used = len(run.cut.used)
-        yield f"{used} of {used + more} cycles are fitted, evenly spread (--from and --to select others)"
+        yield (
+            f"{used} of {used + more} cycles, evenly spread over the record, are fitted. Select others with "
+            "--from and --to"
+        )
     if lost := run.records[0].lost_counts:
-        yield f"counts seem to be lost at {lost} sample(s): the fit corrects them"
+        yield f"counts seem to be missing at {lost} sample(s). The fit corrects for them"
 
 
 def _of_belt(run: Ranking) -> Iterator[str]:
     motion, parameters = run.motion, run.best.parameters
     if motion.compliance is not None:
-        yield f"the belt slows under load, by {_percent(run, 'droop')} at Fs: measured, part of every law"
+        yield (
+            f"the measured belt speed decreases under load, by {_percent(run, 'droop')} at Fs. Every law includes "
+            "this effect"
+        )
     if "ripple" in parameters:
         yield (
-            f"the belt's speed varies by {_percent(run, 'ripple')} at {parameters['ripple_hz'].value:.3g} Hz: detected "
-            "in the sticks, included in every law"
+            f"the belt's speed varies by {_percent(run, 'ripple')} at {parameters['ripple_hz'].value:.3g} Hz "
+            "during the sticks. Every law includes this effect"
         )
     elif motion.speed_variation > 0:
         yield (
-            f"the measured belt speed varies by {100 * motion.speed_variation / motion.belt_speed:.2g} % rms apart "
-            "from load: the fit assumes it constant"
+            f"the measured belt speed varies by {100 * motion.speed_variation / motion.belt_speed:.2g} % rms "
+            "for reasons other than load, but the fit assumes a constant speed"
         )
 
 
@@ -124,13 +132,13 @@ def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
     if goodness is None:
         return ()
     if not goodness.judged:
-        return ("goodness of fit not judged: too few slips, or noise that repeats exactly",)
+        return ("the goodness of fit was not judged: there are too few slips, or the noise repeats exactly",)
     if not goodness.left_out:
         return ()
     listed = ", ".join(map(str, goodness.left_out))
     several = len(goodness.left_out) > 1
     omitted, pronoun = (f"cycles {listed} are", "they contain") if several else (f"cycle {listed} is", "it contains")
-    return (f"{omitted} left out of the goodness-of-fit test: {pronoun} a velocity step (belt joint?)",)
+    return (f"{omitted} excluded from the goodness-of-fit test because {pronoun} a velocity step (belt joint?)",)
 
 
 def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
@@ -140,11 +148,12 @@ def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
         return ()
     if curve.level_assumed:
         return (
-            "the level of the measured curve assumes that the spring is relaxed where the record begins at rest, or at "
-            "the lowest position; its band contains every level. Give --x0 with its error",
+            "the level of the measured curve assumes that the spring is relaxed at the start of the record, "
+            "or at the lowest position. Its band covers every possible level. Give --x0 with its error",
         )
     return (
-        "the level of the measured curve is hardly determined, only differences of friction. Give --x0 with its error",
+        "the record determines differences of friction, but hardly the level of the measured curve. Give --x0 "
+        "with its error",
     )
 
 

@@ -125,7 +125,7 @@ def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int)
     findings = []
     spikes = sum(fault.samples for fault in faults if fault.kind == "spike")
     if spikes > frames.lost + frames.doubled:
-        text = f"{_count(spikes, 'sample')} omitted as outliers (spikes, drop-outs)"
+        text = f"{_count(spikes, 'sample')} omitted because they are outliers (spikes or drop-outs)"
         findings.append(Finding("spikes", text, float(spikes), 0.0))
     frozen = [fault.samples for fault in faults if fault.kind == "frozen"]
     if frozen:
@@ -137,9 +137,9 @@ def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int)
             findings.append(
                 Finding(
                     f"{name}-frames",
-                    f"about {100 * share:.1f} % of the frames are {name} although the times are evenly spaced "
-                    f"({number} of {frames.compared} steps): times and speeds are wrong by the same amount; "
-                    "record the time of every frame",
+                    f"about {100 * share:.1f} % of the frames are {name} although the time stamps are evenly "
+                    f"spaced ({number} of {frames.compared} steps), so times and speeds are wrong by the same "
+                    "factor; record the time of every frame",
                     share,
                     0.0,
                 )
@@ -162,9 +162,9 @@ def step_findings(steps: list[PositionStep], frames: FrameCount, unit: str, *, r
         return []
     largest = max(shifts, key=lambda step: abs(step.size)).size
     text = (
-        f"the position jumps {_count(len(shifts), 'time')} (largest {largest:.3g} {unit}), as when a "
-        f"camera is moved or a wheel slips: "
-        + ("corrected" if repaired else "marked, and removed from velocity and fit")
+        f"the position jumps {_count(len(shifts), 'time')} (largest {largest:.3g} {unit}), perhaps because a "
+        "camera was moved or a wheel slipped. The jumps are "
+        + ("corrected" if repaired else "marked, and removed from the velocity and the fit")
     )
     return [Finding("position-steps", text, largest, 0.0)]
 
@@ -179,8 +179,8 @@ def drift_finding(time: Array, position: Array, unit: str) -> Finding | None:
     if abs(slope) <= SIGNIFICANT_DRIFT * error or np.abs(residual).max() > STRAIGHT * abs(travel):
         return None
     text = (
-        f"the position drifts by {slope:.3g} {unit}/s throughout and the mass never slips: either a parked "
-        "counter dithers, or the belt drags the mass all the time"
+        f"the position drifts by {slope:.3g} {unit}/s and the mass never slips: either the counter drifts "
+        "while the mass is at rest, or the belt always drags the mass"
     )
     return Finding("drift", text, slope, 0.0, abs(slope) / error if error > 0 else math.inf)
 
@@ -189,15 +189,18 @@ def belt_findings(stated: Measured | None, speed: float, unit: str) -> list[Find
     """Return the finding of a stated belt speed that differs from the speed of the sticks (NaN without one)."""
     if stated is None:
         return []
-    text = f"belt speed: {stated.value:.4g} m/s was given, "
+    text = f"belt speed: {stated.value:.4g} m/s was stated, "
     if unit != "m":
         text += "but the positions are in counts (no metres_per_count)"
         if math.isfinite(speed) and stated.value:
-            text += f"; the sticks' {speed:.5g} count/s correspond to it at {stated.value / speed:.4g} m per count"
+            text += (
+                f". The sticks have {speed:.5g} counts/s, which is this speed if a count is "
+                f"{stated.value / speed:.4g} m"
+            )
         return [Finding("belt-speed-unit", text)]
     if is_possible_speed(stated, speed) or not math.isfinite(speed):
         return []
-    text += f"but the mass sticks at {speed:.4g} m/s, which is used"
+    text += f"but the speed of the sticks is {speed:.4g} m/s, which is used"
     sd = with_error(stated).sd
     return [Finding("belt-speed", text, speed, stated.value, abs(speed - stated.value) / sd if sd else math.nan)]
 

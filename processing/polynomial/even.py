@@ -30,9 +30,9 @@ def coefficients(window: int, order: int, sample: int = 0) -> Array:
     Divide row d by interval**d; the rows of derivatives above the order are zero.
     """
     if window < 1 or window % 2 == 0:
-        raise ValueError(f"window is {window}; need an odd number above order {order}")
+        raise ValueError(f"the window must be an odd number above the order ({order}), not {window}")
     if not 0 <= order < window:
-        raise ValueError(f"order is {order}; need 0 to {window - 1} for window {window}")
+        raise ValueError(f"the order must be from 0 to {window - 1} for a window of {window}, not {order}")
     weights = (_centred(window, order) if sample == 0 else _weights(window, order, sample)).view()
     weights.flags.writeable = False
     return weights

@@ -145,7 +145,7 @@ def from_recording(recording: "Recording", times: str = "recorded", start: "Reco
         raise InputError(f"times is {times!r}", "--times", f"known: {', '.join(TIMES)}")
     recorded, positions = recording.time, recording.position
     if recorded.size < LEAST:
-        raise InputError(f"has {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
+        raise InputError(f"has {recorded.size} samples, but smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
     time = recorded
     if times == "nominal":
@@ -186,7 +186,7 @@ def check_numbers(time: Array, position: Array, where: str) -> None:
         raise InputError(
             f"time {word} at sample {index} ({time[index - 1]:.6f} s, then {time[index]:.6f} s)",
             where,
-            "times must increase: remove that sample, or use --times nominal when only the clock is bad",
+            "times must increase: remove that sample, or use --times nominal if only the clock is wrong",
         )
 
 

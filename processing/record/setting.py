@@ -31,7 +31,7 @@ def parse_window(window: int | str, order: int | None, series: Series) -> Settin
     or an order outside 1 to 20.
     """
     if order is not None and not 1 <= order <= HIGHEST_ORDER:
-        raise InputError(f"order is {order}", "--order", f"give 1 to {HIGHEST_ORDER}")
+        raise InputError(f"the order is {order}", "--order", f"it must be from 1 to {HIGHEST_ORDER}")
     typed = window.strip() if isinstance(window, str) else window
     if typed == "auto":
         return Setting(None, order)
@@ -40,9 +40,9 @@ def parse_window(window: int | str, order: int | None, series: Series) -> Settin
     longest = longest_piece(series)
     if samples > longest:
         raise InputError(
-            f"window is {samples} samples; the longest stretch of the record has {longest}",
+            f"the window has {samples} samples, but the longest uninterrupted part of the record has {longest}",
             "--window",
-            "give a shorter one",
+            "choose a shorter window",
         )
     return Setting(samples, order)
 
@@ -50,25 +50,30 @@ def parse_window(window: int | str, order: int | None, series: Series) -> Settin
 def _parse_samples(text: str, series: Series) -> int:
     match = re.fullmatch(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(us|ms|s)?", text)
     if match is None:
-        raise InputError(f"window is {text!r}", "--window", "use auto, an odd number of samples, or 20ms")
+        raise InputError(
+            f"window is {text!r}", "--window", "use 'auto', an odd number of samples, or a duration such as 20ms"
+        )
     if match[2] is None:
         if not match[1].isdigit():
-            raise InputError(f"window is {text!r}", "--window", "give a whole number of samples, or a unit: 20ms")
+            raise InputError(
+                f"window is {text!r}", "--window", "use a whole number of samples, or a duration such as 20ms"
+            )
         return int(match[1])
     seconds = float(match[1]) * {"us": 1e-6, "ms": 1e-3, "s": 1.0}[match[2]]
     longest = longest_piece(series)
     if seconds > longest * series.interval:
         raise InputError(
-            f"window is {text}; the longest stretch of the record lasts {longest * series.interval:.4g} s",
+            f"the window is {text} long, but the longest uninterrupted part of the record lasts "
+            f"{longest * series.interval:.4g} s",
             "--window",
-            "give a shorter one",
+            "choose a shorter window",
         )
     samples = 2 * round(seconds / (2 * series.interval)) + 1
     if samples < 3:
         raise InputError(
-            f"window is {text}, less than two sample intervals of {series.interval * 1e3:.3g} ms",
+            f"the window of {text} is shorter than two sample intervals of {series.interval * 1e3:.3g} ms",
             "--window",
-            "give a longer one",
+            "choose a longer window",
         )
     return samples
 
@@ -82,7 +87,7 @@ def check_window(window: int, order: int) -> None:
     """Raise InputError unless the window is odd and above the order."""
     if window % 2 == 0 or window <= order:
         raise InputError(
-            f"window is {window}; need an odd number above order {order}",
+            f"the window must be an odd number above the order ({order}), not {window}",
             "--window",
             f"use {max(window + 1 - window % 2, order + 1 + order % 2)}",
         )
@@ -103,7 +108,7 @@ def parse_belt_speed(belt_speed: float | str) -> float | None:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give auto, or a speed in m/s with its sign")
+        raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "use 'auto', or a signed speed in m/s")
     return value
 
 

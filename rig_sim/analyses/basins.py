@@ -65,7 +65,7 @@ class Basins:
 def basins(f: OnInterval, cells: int, progress: Stages = silent) -> Basins:
     """Return the attractors of a map and their basins; ``progress`` is called with the stage and its number done."""
     if cells < 2:
-        raise ValueError(f"{cells} cells; need 2 or more")
+        raise ValueError(f"the number of cells must be 2 or more, not {cells}")
     width = (f.hi - f.lo) / cells
     centres: Array = f.lo + width * (np.arange(cells, dtype=np.float64) + 0.5)
     mapped = [f.images(centres[begin:end]) for begin, end in parts("mapping cells", cells, progress)]

@@ -33,7 +33,7 @@ class Exponent:
 def exponent(motion: Motion, events: int, progress: Stages = silent) -> Exponent:
     """Return the exponent over ``events`` passages, after `TRANSIENT`; on a periodic orbit exact, over one period."""
     if events < BLOCKS:
-        raise ValueError(f"{events} events; need {BLOCKS} or more")
+        raise ValueError(f"the number of events must be {BLOCKS} or more, not {events}")
     growth_at = getattr(motion.system, "growth_at", None)
     passages = motion.follow(TRANSIENT, tangent=growth_at is None)
     if passages.outcome == OUTCOMES[COMPLETED]:

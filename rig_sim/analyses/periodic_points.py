@@ -34,7 +34,7 @@ def find_periodic_orbits(
 ) -> tuple[PeriodicPoint, ...]:
     """Return the orbits of exactly this period with a point in the interval ``within``, by their smallest point."""
     if period < 1:
-        raise ValueError(f"period is {period}; need 1 or more")
+        raise ValueError(f"the period must be 1 or more, not {period}")
     lo, hi = within or (f.lo, f.hi)
     if within is None and np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
         return ()

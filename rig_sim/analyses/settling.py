@@ -40,7 +40,7 @@ DRAWN = 512  # drawn passages of an attractor that is not periodic
 # Of the size over the last transient, above which a motion counts as growing; one in proportion to time doubles.
 GROWTH = 1.5
 LARGE = 2.0  # size over the scale that a growing motion exceeds; a mass in stick is below 1
-GROWING = Outcome("growing", "the motion still grows after a long time: add damping, or move off the resonance")
+GROWING = Outcome("growing", "the motion still grows after a long time; add damping, or move away from the resonance")
 
 
 def find_period(orbit: Array, tolerance: float) -> int | None:

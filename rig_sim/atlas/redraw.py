@@ -13,8 +13,8 @@ PAGE = "atlas.md"
 HEAD = """# Atlas
 
 The figures of the thesis whose rig, laws and analyses this project implements, recomputed by `rig-sim atlas`.  Each
-table sets what the thesis states beside what is computed; most of its numbers were read off a plot, so that one unit of
-the last digit counts as agreement.  Quantities are dimensionless (m = k = Fs = 1) unless an axis names a unit.
+table compares the thesis with the computation.  Most numbers of the thesis were read from plots, so a difference of one
+unit in the last digit counts as agreement.  Quantities are dimensionless (m = k = Fs = 1) unless an axis names a unit.
 """
 
 
@@ -25,7 +25,7 @@ def select_figures(requested: Iterable[str] | None) -> list[str]:
     for name in requested or [number.partition(".")[0] for number in all_numbers]:
         numbers = [number for number in all_numbers if name in (number, number.partition(".")[0])]
         if not numbers:
-            raise InputError(f"no figure {name!r} in the atlas", "FIGURE", nearest(name, all_numbers))
+            raise InputError(f"the atlas has no figure {name!r}", "FIGURE", nearest(name, all_numbers))
         figures += [number for number in numbers if number not in figures]
     return sorted(figures, key=sort_key)
 
@@ -50,9 +50,9 @@ def redraw(
     numbers = list(numbers)
     files = {number: folder / f"figure-{number}.png" for number in numbers if number in ENTRIES}
     if folder.exists() and not folder.is_dir():
-        raise InputError("is not a folder", str(folder), "give the name of a folder (-o)")
+        raise InputError("is not a folder", str(folder), "use the name of a folder (-o)")
     if not folder.exists() and not folder.absolute().parent.is_dir():
-        raise InputError("its folder does not exist", str(folder), f"make {folder.absolute().parent} first")
+        raise InputError("the parent folder does not exist", str(folder), f"make {folder.absolute().parent} first")
     for file in (*files.values(), folder / PAGE):
         if folder.exists():
             atomic.refuse_existing(file, force)
@@ -79,7 +79,7 @@ def format_page(drawn: Sequence[Drawing], not_redrawn: Mapping[str, str]) -> str
         parts.append(f"## Figure {drawing.number}: {drawing.title}\n")
         parts += [f"![Figure {drawing.number}]({drawing.file.name})\n", drawing.sentence + "\n"]
         if drawing.choices:
-            parts.append(f"Chosen here, as the thesis does not state it: {drawing.choices}\n")
+            parts.append(f"The thesis does not state the following; it is chosen here: {drawing.choices}\n")
         if drawing.table:
             parts.append(format_table(drawing.table))
     if not_redrawn:

@@ -33,7 +33,7 @@ class BeltEncoder:
 
     def __init__(self, scene: Scene) -> None:
         if scene.belt is None or scene.encoder is None:
-            raise ValueError("a belt channel needs a belt and an encoder")
+            raise ValueError("a belt channel requires a belt and an encoder")
         self.delta = scene.encoder.metres_per_count  # metres of belt per count
         self.travel = 0.0  # of the belt since t = 0, m, signed
         self._belt: Belt = scene.belt

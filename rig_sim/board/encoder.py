@@ -63,7 +63,9 @@ class QuadratureEncoder:
         """
         y, origin = self._insert_turning_points(nodes)
         if not np.abs(y).max() < LARGEST_COUNT * self.delta:
-            raise InputError(f"the mass is at {float(y[-1]):g} m, beyond any encoder", "encoder", "correct the scene")
+            raise InputError(
+                f"the mass is at {float(y[-1]):g} m, which no encoder can measure", "encoder", "correct the scene"
+            )
         n = np.floor(y / self.delta).astype(np.int64)
         jumps = np.diff(n, prepend=self.n)
         self.n = int(n[-1])
@@ -84,7 +86,7 @@ class QuadratureEncoder:
         edges = np.abs(jumps)
         if edges.sum() > MOST_EDGES:
             raise InputError(
-                f"{int(edges.sum())} edges in one stretch of motion",
+                f"{int(edges.sum())} edges in one part of the motion are too many",
                 "encoder",
                 "lower encoder.vibration, vibration_hz or lines_per_rev, or use the decoder x4",
             )

@@ -12,14 +12,14 @@ from stickslip.errors import InputError
 
 app = application.application(
     "rig-sim",
-    "The stick-slip rig in software: exact motion between events, six friction laws, four with memory.",
+    "Simulate the stick-slip rig with exact motion between events, six friction laws and four laws with memory.",
     "rig-sim cycle base --set friction.law=3",
 )
 
 
 @app.command
 def scenes(*, json: Json = False) -> Answer:
-    """List the built-in scenes and the terms each of them has.
+    """List the built-in scenes and their sections.
 
     Example: rig-sim scenes
     """
@@ -42,21 +42,21 @@ def count_finished(values: dict[str, Any]) -> Iterator[None]:
             from rig_sim.results.arguments import parse_range
 
             total = parse_range(values["over"]).number
-            application.note(f"{number} of {total} values are in {path}: the same command continues there")
+            application.note(f"{number} of {total} values are in {path}; the same command continues from there")
         raise
 
 
 @contextmanager
 def refuse_search_plot(values: dict[str, Any]) -> Iterator[None]:
     if values.get("method") == "search" and values.get("plot") is not None:
-        raise InputError("draws --method=ogy alone", "--plot", "remove one of the two")
+        raise InputError("draws only --method=ogy", "--plot", "remove one of the two")
     yield
 
 
 @contextmanager
 def refuse_empty_request(values: dict[str, Any]) -> Iterator[None]:
     if values.get("d") is None and not values.get("periodic") and values.get("plot") is None:
-        raise InputError("nothing to do", "--d", "give --d, --periodic or --plot")
+        raise InputError("there is nothing to do", "--d", "use --d, --periodic or --plot")
     yield
 
 

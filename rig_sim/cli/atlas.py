@@ -12,18 +12,21 @@ from stickslip.console.application import Answer, Json
 
 def atlas(
     figures: Annotated[
-        list[str] | None, Parameter(help="Numbers such as 2.7, or 2 for a chapter; default all.")
+        list[str] | None,
+        Parameter(help="Numbers of figures, such as 2.7, or of a chapter, such as 2; by default all figures."),
     ] = None,
     /,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for the pictures and their page.")],
-    force: Annotated[bool, Parameter(negative=(), help="Replace files that exist.")] = False,
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], help="Folder for the pictures and for the page that shows them.")
+    ],
+    force: Annotated[bool, Parameter(negative=(), help="Replace existing files.")] = False,
     json: Json = False,
 ) -> Answer:
-    """Redraw figures of the thesis, each with a table of what it says, what is computed, and why they differ.
+    """Redraw figures of the thesis, and compare its numbers with the computed ones.
 
-    The folder receives figure-2.7.png ... and atlas.md, which shows them with their tables. Figures that the thesis's
-    text does not define are listed with the reason.
+    The folder receives figure-2.7.png ... and atlas.md, which shows them with their tables. Figures that the text of
+    the thesis does not define are listed with the reason.
 
     Example: rig-sim atlas 2.7 4 -o atlas
     """

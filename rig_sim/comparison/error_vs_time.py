@@ -28,8 +28,8 @@ MOST_STEPS = 10**8
 LONGEST = 2000  # periods of the oscillator: the slowest method takes a few minutes
 LONG_ENOUGH_S = 0.5  # CPU time: a run is repeated until the sum exceeds it; 0: each runs once
 NO_REFERENCE = (
-    "the tightest other method: the multi-precision reference covers neither droop nor an equation of motion that "
-    "changes between events; such scenes are played interpreted"
+    "the most accurate other method; the multi-precision reference does not cover droop or an equation of "
+    "motion that changes between events, and such scenes are simulated with the interpreted method"
 )
 LAST = 1e-6  # share of the time span: an event this near its end may be missing from a list
 
@@ -75,7 +75,7 @@ def compare(
     ``progress`` is called before each run with the percentage done.
     """
     if not (math.isfinite(until) and until > 0):
-        raise InputError(f"is {until:g}", "--until", "give a positive number")
+        raise InputError(f"is {until:g}", "--until", "use a positive number")
     for method in methods:
         if method not in METHODS:
             raise InputError(f"unknown method {method!r}", "methods", f"use some of {', '.join(METHODS)}")
@@ -83,8 +83,11 @@ def compare(
         scene.flow()  # says what covers such a scene
     swing = 2.0 * math.pi * math.sqrt(scene.mass.m / scene.spring.k)
     if until > LONGEST * swing:
-        problem = f"is {until:g}, {until / swing:.3g} periods of the mass: every method would step through all of them"
-        raise InputError(problem, "--until", f"give {LONGEST * swing:.4g} ({LONGEST} periods) or less")
+        problem = (
+            f"is {until:g}, {until / swing:.3g} periods of the mass, which is too long because every method steps "
+            "through all of them"
+        )
+        raise InputError(problem, "--until", f"use {LONGEST * swing:.4g} ({LONGEST} periods) or less")
     is_constant = is_flow_constant(scene) and scene.droop is None
     runs = list_runs(scene, until, methods, is_constant)
     compile_s = measure_compilation(scene) if is_constant and "exact" in methods else 0.0
@@ -96,7 +99,7 @@ def compare(
     expected, description = compute_reference(scene, until) if is_constant else ([], NO_REFERENCE)
     lists = {(method, setting): events for method, setting, events, _ in measured}
     if not (expected or next(iter(lists.values())).t):
-        raise InputError("no event", "--until", "give a longer time")
+        raise InputError("no event", "--until", "use a longer time")
     rows = []
     cycles = 0
     peers = {} if expected else {method: find_tightest(lists, method, until) for method in dict.fromkeys(methods)}
@@ -160,7 +163,7 @@ def compute_reference(scene: Scene, until: float) -> tuple[list[tuple[Any, str]]
     try:
         events = reference.events(scene.flow(), float(scene.start.x), float(scene.start.v), until)
     except reference.Uncovered as why:
-        return [], f"the tightest other method: the multi-precision reference does not cover {why}"
+        return [], f"the most accurate other method; the multi-precision reference does not cover {why}"
     return [(t, kind) for t, kind, _ in events], f"Taylor series in {reference.DIGITS}-digit arithmetic (mpmath)"
 
 

@@ -37,16 +37,16 @@ def choose_phases(
 
         h = RK4_STEP * math.sqrt(scene.mass.m / scene.spring.k) if step is None else step
         if not (math.isfinite(h) and h > 0.0):
-            raise InputError(f"is {h:g}", "--step", "give a positive number")
+            raise InputError(f"is {h:g}", "--step", "use a positive number")
         unit = math.sqrt(scene.mass.m / scene.spring.k)
         if h > RK4_LONGEST * unit:
-            problem = f"is {h:g}, and the period of the mass is {2 * math.pi * unit:.4g}: too long a step to follow it"
-            do = f"give {RK4_LONGEST * unit:.4g} (a sixth of it) or less; the default is {RK4_STEP * unit:.4g}"
+            problem = f"is {h:g}, and the period of the mass is {2 * math.pi * unit:.4g}, so this step is too long"
+            do = f"use {RK4_LONGEST * unit:.4g} (a sixth of the period) or less; the default is {RK4_STEP * unit:.4g}"
             raise InputError(problem, "--step", do)
         return partial(sample_by, make_rk4_solver(h)), f"h {h:g}"
     from rig_sim.comparison.solve_ivp import make_ivp_solver
 
     tolerance = DOP853_RTOL if rtol is None else rtol
     if not DOP853_RTOL <= tolerance < 1.0:
-        raise InputError(f"is {tolerance:g}", "--rtol", f"give at least {DOP853_RTOL} and less than 1, such as 1e-9")
+        raise InputError(f"is {tolerance:g}", "--rtol", f"use at least {DOP853_RTOL} and less than 1, such as 1e-9")
     return partial(sample_by, make_ivp_solver("dop853", tolerance, dense=True)), f"rtol {tolerance:g}"

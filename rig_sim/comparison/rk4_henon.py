@@ -102,5 +102,5 @@ def solve_phase(
 
 def make_rk4_solver(step: float) -> PhaseSolver:
     if not (math.isfinite(step) and step > 0.0):
-        raise ValueError(f"step is {step}; need a positive number")
+        raise ValueError(f"step must be a positive number, not {step}")
     return partial(solve_phase, step)

@@ -85,7 +85,7 @@ def solve_phase(
 def make_ivp_solver(method: str, rtol: float, *, dense: bool) -> PhaseSolver:
     """Return the method: a key of `SOLVERS` at relative tolerance ``rtol``; ``dense`` for states at times between."""
     if method not in SOLVERS:
-        raise ValueError(f"method is {method!r}; need one of {', '.join(SOLVERS)}")
+        raise ValueError(f"method must be one of {', '.join(SOLVERS)}, not {method!r}")
     if not (math.isfinite(rtol) and rtol > 0.0):
-        raise ValueError(f"rtol is {rtol}; need a positive number")
+        raise ValueError(f"rtol must be a positive number, not {rtol}")
     return partial(solve_phase, SOLVERS[method], rtol, dense)

@@ -51,8 +51,8 @@ def add_shaker(flow: Flow, a: float, phi: float) -> Flow:
     if Omega.real < CREEP * abs(Omega.imag):
         if abs(math.sin(phi)) > NO_SHIFT:
             raise ValueError(
-                f"the mass would creep, not oscillate (omega {Omega.real:.3g}, delta {Omega.imag:.3g}), "
-                "so it has no phase to shift"
+                f"the mass would creep instead of oscillating (omega {Omega.real:.3g}, delta "
+                f"{Omega.imag:.3g}), so it has no phase that can be shifted"
             )
         return flow._replace(c=flow.c - a * math.cos(phi))
     k = flow.m * (Omega.real**2 + Omega.imag**2)

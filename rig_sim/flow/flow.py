@@ -52,27 +52,29 @@ def validate(flow: Flow) -> None:
         if name == "table":
             continue  # checked where it was made
         if not math.isfinite(number):
-            raise ValueError(f"{name} is {number}; need a finite number")
+            raise ValueError(f"{name} must be a finite number, not {number}")
         if abs(number) > LARGEST or (name in POSITIVE_FIELDS and 0.0 < number < SMALLEST):
-            raise ValueError(f"{name} is {number}, outside {SMALLEST:g} to {LARGEST:g}: choose other units")
+            raise ValueError(f"{name} is {number}, which is outside {SMALLEST:g} to {LARGEST:g}; choose other units")
         if name in POSITIVE_FIELDS and not number > 0.0:
-            raise ValueError(f"{name} is {number}; need a number above 0")
+            raise ValueError(f"{name} must be above 0, not {number}")
         if name in NON_NEGATIVE_FIELDS and number < 0.0:
-            raise ValueError(f"{name} is {number}; need 0 or more")
+            raise ValueError(f"{name} must be 0 or more, not {number}")
     if flow.static < 1.0:
-        raise ValueError(f"static is {flow.static}; friction at rest is not below friction in slip: need 1 or more")
+        raise ValueError(
+            f"static must be 1 or more, not {flow.static}, because friction at rest is not below friction in slip"
+        )
     if flow.droop > 0.0:
         if flow.curve == MEASURED:
             raise ValueError("droop with a measured curve is not modelled")
         if flow.static != 1.0:
-            raise ValueError(f"droop with static {flow.static} is not modelled; need static 1")
+            raise ValueError(f"droop with static {flow.static} is not modelled; set static to 1")
         if flow.Fs == 0.0:
-            raise ValueError("droop is the speed drop at the load Fs, which is 0; need Fs above 0")
+            raise ValueError("droop is the decrease of speed at the load Fs, so Fs must be above 0, not 0")
         fall = steepest_fall(flow)
         if flow.droop * fall >= 1.0:
             raise ValueError(
-                f"droop is {flow.droop:g} m/s: friction falls faster than the belt slows, so the force is not unique; "
-                f"need less than {1.0 / fall:g}"
+                f"droop is {flow.droop:g} m/s, so friction falls faster than the belt slows and the force is "
+                f"not unique; use less than {1.0 / fall:g}"
             )
 
 

@@ -85,22 +85,24 @@ OUTCOMES = {
     COMPLETED: Outcome("completed", ""),
     FORCE_REVERSAL: Outcome(
         "force reversal",
-        "the linear curve changes sign at slip speed Fs/G_slip: lower G_slip, slow the belt or use another law",
+        "the linear curve changes sign at the slip speed Fs/G_slip; reduce G_slip or the belt speed, or use "
+        "another law",
     ),
-    STEP_LIMIT: Outcome("step limit", "raise the number of steps allowed, or shorten the time"),
+    STEP_LIMIT: Outcome("step limit", "allow more steps, or shorten the time"),
     EVENT_RATE: Outcome(
         "event-rate limit",
-        "events follow each other in zero time: the motion stays on a mode's edge; change its start or parameters",
+        "events follow each other without a delay, because the motion stays at the border of two modes; "
+        "change its start or parameters",
     ),
-    NOT_FINITE: Outcome("not finite", "a number overflowed or was not a number: check the scene's magnitudes"),
+    NOT_FINITE: Outcome("not finite", "a number overflowed or is undefined; check the magnitudes in the scene"),
     LIST_FULL: Outcome("list full", "use the events found so far and call again"),
-    RECURRED: Outcome("recurred", "the last events repeat periodically: `rig_sim.integrate.events` lists them"),
+    RECURRED: Outcome("recurred", "the last events repeat periodically; `rig_sim.integrate.events` lists them"),
     CURVE_END: Outcome(
         "end of the curve",
-        "slip is faster than friction.formula is finite, not negative and smooth, or 64 times what spring, friction, "
-        "belt and start allow: change the formula, or lower the drive",
+        "the slip speed exceeds the range in which friction.formula is smooth, finite and not negative, or 64 "
+        "times the speed that the energy allows; change the formula, or reduce the drive",
     ),
-    EVENT_LIMIT: Outcome("event limit", "raise the number of events allowed, shorten the time, or list a later part"),
+    EVENT_LIMIT: Outcome("event limit", "allow more events, shorten the time, or list a later part"),
 }
 
 KINDS = {

@@ -31,11 +31,11 @@ def validate_two_masses(flow: TwoMassFlow) -> None:
     validate(flow.mass)
     for name, number in (("a", flow.a), ("b", flow.b)):
         if not 0.0 <= number <= LARGEST:
-            raise ValueError(f"{name} is {number}; need a number from 0 to {LARGEST:g}")
+            raise ValueError(f"{name} must be a number from 0 to {LARGEST:g}, not {number}")
     if flow.mass.curve == MEASURED:
-        raise ValueError("two masses with a measured curve are not modelled; need law 1, 3 or 5")
+        raise ValueError("two masses with a measured curve are not modelled; use law 1, 3 or 5")
     if flow.mass.ramp:
-        raise ValueError("two masses with a ramp contact are not modelled; need law 1, 3 or 5")
+        raise ValueError("two masses with a ramp contact are not modelled; use law 1, 3 or 5")
     if flow.mass.u0 != 0.0:
         raise ValueError("two masses with a drive are not modelled")
     if flow.mass.droop != 0.0:
@@ -55,9 +55,9 @@ def slip_start(flow: TwoMassFlow, d: float) -> tuple[float, float]:
     """
     mass = flow.mass
     if not abs(d) <= largest_stretch(flow):
-        raise ValueError(f"d is {d:g}; both masses can stick with abs(d) up to {largest_stretch(flow):.6g}")
+        raise ValueError(f"d is {d:g}, but both masses can stick only with abs(d) up to {largest_stretch(flow):.6g}")
     if mass.v_belt == 0.0:
-        raise ValueError("the belt is at rest: no stick ends; need a belt speed")
+        raise ValueError("on a belt at rest no stick ends; set a belt speed")
     sign = math.copysign(1.0, mass.v_belt)
     level = mass.static * mass.factor * mass.Fs - mass.c * abs(mass.v_belt)
     second = flow.b * mass.static * mass.factor * mass.Fs - mass.c * abs(mass.v_belt)

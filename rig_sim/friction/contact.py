@@ -33,7 +33,7 @@ def force(
     if law.contact == "jump":
         return -sign * factor * magnitude(law.curve_code, speed, Fs, G_slip, gamma)  # type: ignore[return-value]
     if not d > 0:
-        raise ValueError(f"d is {d}; a ramp needs a half-width above 0 m/s")
+        raise ValueError(f"d must be above 0 m/s, not {d}, because it is the half-width of a ramp")
     inside = (speed <= d) * 1.0
     beyond = (speed - d) * (speed > d)
     outside = sign * magnitude(law.curve_code, beyond, Fs, G_slip, gamma)

@@ -33,7 +33,7 @@ def magnitude(curve: int, s: Real, Fs: float, G_slip: float = 0.0, gamma: float 
     elif curve == HYPERBOLIC:
         force = Fs / (1.0 + gamma * speed)
     else:
-        raise ValueError("unknown curve: need 0 (constant), 1 (linear) or 2 (hyperbolic)")
+        raise ValueError("the curve must be 0 (constant), 1 (linear) or 2 (hyperbolic)")
     return force  # type: ignore[return-value]
 
 

@@ -39,7 +39,7 @@ TOKEN = re.compile(r"(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[
 BLANKS = " \t\r\n"
 INSTEAD = {
     "^": "write ** for powers",
-    "=": "write the right-hand side alone",
+    "=": "write only the right-hand side",
     "[": "use round brackets",
     "{": "use round brackets",
     ".": "write a name of letters, digits and _",
@@ -84,7 +84,7 @@ class Formula:
     def parse(cls, text: str) -> "Formula":
         """Return the formula of a text; raises InputError, with a caret below the column, where it is not a formula."""
         if len(text) > LONGEST:
-            problem = f"has {len(text)} characters, more than any friction curve needs"
+            problem = f"has {len(text)} characters, which is too long for a friction curve"
             raise InputError(problem, "formula", f"write at most {LONGEST}")
         steps = _Parser(text).steps
         names = dict.fromkeys(step.name for step in steps if step.do == "name" and step.name != SPEED)
@@ -131,7 +131,9 @@ class Formula:
 
         missing = [name for name in self.parameters if name not in parameters]
         if missing:
-            raise InputError(f"has no value for {', '.join(missing)}", f"formula {self.text!r}", "give one for each")
+            raise InputError(
+                f"has no value for {', '.join(missing)}", f"formula {self.text!r}", "pass a value for each"
+            )
         speeds = np.asarray(s, dtype=np.float64)
         variables = {SPEED: speeds} | {name: np.asarray(parameters[name], np.float64) for name in self.parameters}
         with np.errstate(all="ignore"):
@@ -177,10 +179,10 @@ class Formula:
         }
         position = self.place(speed, parameters)
         if variable:
-            problem = f"the derivative by {variable} is not finite {position}"
-            raise InputError(problem, "formula", "choose other values, or a form without that corner or pole")
+            problem = f"the derivative with respect to {variable} is not finite {position}"
+            raise InputError(problem, "formula", "choose other values, or a formula without this corner or pole")
         cause, column = self._find_cause(speed, parameters)
-        do = f"choose other values, or a form that is finite at this speed\n{point_at(self.text, column)}"
+        do = f"choose other values, or a formula that is finite at this speed\n{point_at(self.text, column)}"
         raise InputError(f"friction is not finite {position}: {cause}", "formula", do)
 
     def place(self, s: float, parameters: Mapping[str, float]) -> str:
@@ -249,9 +251,11 @@ class _Parser:
         if token.kind == "end":
             return
         if token.text == ")":
-            self._fail("no bracket is open here", token.column, "remove it, or add the opening one")
+            self._fail(
+                "this bracket has no matching opening bracket", token.column, "remove it, or add the opening bracket"
+            )
         if token.text == ",":
-            self._fail("a comma outside min and max", token.column, "write a decimal point, or remove it")
+            self._fail("a comma is allowed only in min and max", token.column, "write a decimal point, or remove it")
         if token.text == "(":
             self._fail("an operator is missing", token.column, "write * for a product")
         self._fail(f"an operator is missing before {token.text:.40}", token.column, "write * for a product")
@@ -365,7 +369,7 @@ class _Parser:
         needed = FUNCTIONS[token.text]
         if takes < needed or (needed == 1 and takes > 1):
             problem = f"{token.text} has {takes} argument{'s' * (takes != 1)}"
-            self._fail(problem, token.column, "give one" if needed == 1 else "give two or more")
+            self._fail(problem, token.column, "pass one" if needed == 1 else "pass two or more")
         self.steps.append(Operation(token.text, token.column, takes))
 
     def _parse_close(self, opened: Token) -> None:
@@ -375,7 +379,7 @@ class _Parser:
         if token.kind == "end":
             self._fail("this bracket is not closed", opened.column, "add a )")
         if token.text == ",":
-            self._fail("a comma outside min and max", token.column, "write a decimal point, or remove it")
+            self._fail("a comma is allowed only in min and max", token.column, "write a decimal point, or remove it")
         self._fail(f"an operator is missing before {token.text:.40}", token.column, "write * for a product")
 
 

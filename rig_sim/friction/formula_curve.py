@@ -63,7 +63,7 @@ class _ParametrisedFormula(NamedTuple):
             problem = (
                 f"friction is negative, {friction[wrong[0]]:.6g}, {position}; the mass may reach s = {needed:.6g} m/s"
             )
-            raise InputError(problem, "formula", "choose other values, or a form that stays above 0")
+            raise InputError(problem, "formula", "choose other values, or a formula that stays above 0")
         return friction
 
 
@@ -90,10 +90,12 @@ def formula_curve(formula: Formula, values: tuple[float, ...], fastest: float) -
         position = formula.place(0.0, curve.parameters)
         problem = f"friction at rest is {level:.6g}, {position}"
         raise InputError(
-            problem, "formula", "choose a form that is above 0 at s = 0: it is what holds the mass in stick"
+            problem,
+            "formula",
+            "choose a formula that is above 0 at s = 0, because this friction holds the mass in a stick",
         )
     if not SLOWEST <= fastest <= 1.0 / SLOWEST:
-        problem = f"the mass may reach s = {fastest:.6g} m/s, beyond {SLOWEST:g} to {1.0 / SLOWEST:g}"
+        problem = f"the mass may reach s = {fastest:.6g} m/s, which is outside {SLOWEST:g} to {1.0 / SLOWEST:g}"
         raise InputError(problem, "formula", "choose other units")
     # a power of 2: the pieces stay where they are while a parameter varies
     widest = 2.0 ** math.ceil(math.log2(fastest)) * WIDEST
@@ -162,7 +164,7 @@ def refine_cubics(curve: _ParametrisedFormula, ends: "Array", scale: float, fast
             hardest = middle[np.argmin(upper - lower)]
             position = curve.formula.place(float(hardest), curve.parameters)
             problem = f"changes too abruptly to be approximated to {TOLERANCE:g} by {MOST_PIECES} cubics, {position}"
-            raise InputError(problem, "formula", "choose values, or a form, that change over a wider range of speeds")
+            raise InputError(problem, "formula", "choose values or a formula with slower changes")
         lower, upper = np.concatenate((lower, middle)), np.concatenate((middle, upper))
     order = np.argsort(np.concatenate([piece.begin for piece in accepted]))
     return _Pieces(*(np.concatenate(parts)[order] for parts in zip(*accepted, strict=True)))

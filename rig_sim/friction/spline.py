@@ -118,12 +118,12 @@ def make_table(rows: Sequence[tuple[float, ...]], last: float, *, ends: bool) ->
 def find_problem(points: Sequence[Sequence[float]]) -> str:
     """Return the fault of the points of a curve; empty without one."""
     if len(points) < 2:
-        return f"the curve has {len(points)} point{'s' * (len(points) != 1)}; need two or more"
+        return f"the curve has {len(points)} point{'s' * (len(points) != 1)}, but two or more are required"
     for s, F in points:
         if not (math.isfinite(s) and math.isfinite(F)):
             return f"the point [{s}, {F}] is not finite"
         if s < 0.0:
-            return f"the point [{s:g}, {F:g}] has a slip speed below 0; the curve is that of positive speeds"
+            return f"the point [{s:g}, {F:g}] has a slip speed below 0; state the curve for positive speeds"
         if not F > 0.0:
             return f"the point [{s:g}, {F:g}] has a friction that is not above 0"
     if points[0][0] != 0.0:
@@ -131,7 +131,8 @@ def find_problem(points: Sequence[Sequence[float]]) -> str:
     for (s, _), (following, _) in pairwise(points):
         if not following - s > CLOSEST * points[-1][0]:
             return (
-                f"s = {following!r} follows s = {s!r}: speeds must increase, by more than {CLOSEST:g} of the last one"
+                f"s = {following!r} follows s = {s!r}, but speeds must increase by more than {CLOSEST:g} of "
+                "the last speed"
             )
     return ""
 

@@ -49,7 +49,7 @@ def list_events(
     """
     validate(flow)
     if not all(math.isfinite(number) for number in (x, v, t, t_max)):
-        raise ValueError(f"x, v, t, t_max are {x}, {v}, {t}, {t_max}; need finite numbers")
+        raise ValueError(f"x, v, t and t_max must be finite numbers, not {x}, {v}, {t} and {t_max}")
     state = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
     step: Callable[..., Any] = run
     if compiled:

@@ -102,10 +102,10 @@ def read(path: Path, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
 def count_samples(until: float, rate: float) -> int:
     for name, value in (("--until", until), ("--rate", rate)):
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"is {value:g}", name, "give a positive number")
+            raise InputError(f"is {value:g}", name, "use a positive number")
     if until * rate > MOST_SAMPLES:
-        problem = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
-        raise InputError(problem, "--rate", "lower --rate or --until")
+        problem = f"{until * rate:.3g} samples are more than the {MOST_SAMPLES} that a file may contain"
+        raise InputError(problem, "--rate", "reduce --rate or --until")
     return math.floor(until * rate * (1 + 1e-15)) + 1
 
 
@@ -125,7 +125,7 @@ def make_player(scene: Scene, phases: SamplePhase, max_steps: int) -> _Player:
     if scene.coupling is None:
         return ScenePlayer(scene, max_steps=max_steps, phases=phases)
     if phases is not sample_phase:
-        raise InputError("simulates only one mass", "--method", "use the method exact for two masses")
+        raise InputError("supports only one mass", "--method", "use the method exact for two masses")
     return TwoMassPlayer(scene, max_steps=max_steps)
 
 

@@ -94,7 +94,7 @@ class ScenePlayer:
         self.events: list[Event] | None = None  # set to a list to collect the events
         self._has_memory = scene.has_memory()
         if self._has_memory and phases is not sample_phase:
-            problem = "has a friction law with memory, which this method does not cover"
+            problem = "has a friction law with memory, which this method does not support"
             raise InputError(problem, f"scene {scene.name}", "use the method exact")
         self._make_flow = scene.memory_flow if self._has_memory else scene.flow
         self._phases: SamplePhase = memory.sample_memory_phase if self._has_memory else phases
@@ -263,7 +263,7 @@ class ScenePlayer:
         try:
             self.flow = self._make_flow(belt_running=not self._belt_waits, factor=factor)
         except ValueError as error:
-            self.outcome = modes.Outcome("shaker out of tune", f"{error}: lower shaker.a, wear or scatter")
+            self.outcome = modes.Outcome("shaker out of tune", f"{error}; reduce shaker.a, wear or scatter")
 
     def _draw_factor(self) -> float:
         """Return the factor on the friction curve from this landing on."""
@@ -300,8 +300,8 @@ def refine_times(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray
     gaps = np.diff(times)
     counts = np.maximum(1, np.ceil(gaps / spacing))
     if not counts.sum() <= MOST_NODES:
-        problem = f"the motion changes within {spacing:.2g} s, too fast to be followed in steps of {gaps.max():.2g} s"
-        raise InputError(problem, "scene", "raise mass.m, or lower spring.k, friction.Fs or friction.gamma")
+        problem = f"the motion changes within {spacing:.2g} s, which is too fast for steps of {gaps.max():.2g} s"
+        raise InputError(problem, "scene", "increase mass.m, or reduce spring.k, friction.Fs or friction.gamma")
     parts = counts.astype(np.int64)
     indices = np.concatenate(([0], np.cumsum(parts)))
     if indices[-1] == len(gaps):
@@ -318,11 +318,11 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
     events, then the outcome is 'event limit'.
     """
     if not (math.isfinite(until) and until > 0):
-        raise InputError(f"is {until:g}", "--until", "give a positive number")
+        raise InputError(f"is {until:g}", "--until", "use a positive number")
     if not math.isfinite(since):
-        raise InputError(f"is {since:g}", "--since", "give a number")
+        raise InputError(f"is {since:g}", "--since", "use a number")
     if max_steps < 1:
-        raise InputError(f"is {max_steps}", "--max-steps", "give a positive number")
+        raise InputError(f"is {max_steps}", "--max-steps", "use a positive number")
     if is_flow_constant(scene):
         x, v = float(scene.start.x), float(scene.start.v)
         list_run = partial(list_events, scene.flow(), x, v, until, since=since, max_events=MOST_EVENTS)

@@ -50,7 +50,7 @@ def find_start(scene: Scene) -> tuple[float, float, float, float]:
     try:
         x1, x2 = slip_start(flow, find_stretch(scene))
     except ValueError as error:
-        raise InputError(str(error), "start.d", "give another start.d, or start.x1, v1, x2, v2") from None
+        raise InputError(str(error), "start.d", "use another start.d, or start.x1, v1, x2, v2") from None
     return x1, flow.mass.v_belt, x2, flow.mass.v_belt
 
 
@@ -68,8 +68,10 @@ def find_stretch(scene: Scene) -> float:
     flow = scene.two_mass_flow()
     attractors = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()
     if section.attractor > len(attractors):
-        problem = f"start.attractor is {section.attractor}, and the map from stick to stick has {len(attractors)}"
-        raise InputError(problem, f"scene {scene.name}", "give another number, or start.d")
+        problem = (
+            f"start.attractor is {section.attractor}, but the map from stick to stick has {len(attractors)} attractors"
+        )
+        raise InputError(problem, f"scene {scene.name}", "use another number, or start.d")
     return attractors[section.attractor - 1].points[0]
 
 

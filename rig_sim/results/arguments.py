@@ -33,10 +33,10 @@ def parse_number(value: float | str, dimension: str, flag: str) -> float:
         from stickslip import units
 
         return units.quantity(value, dimension, flag)
-    return parse_plain_number(value, flag, "give a number, or a text with a unit")
+    return parse_plain_number(value, flag, "use a number, or text with a unit")
 
 
-def parse_plain_number(value: float, flag: str, do: str = "give a number") -> float:
+def parse_plain_number(value: float, flag: str, do: str = "use a number") -> float:
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -45,19 +45,19 @@ def parse_plain_number(value: float, flag: str, do: str = "give a number") -> fl
 
 def parse_whole(value: int, flag: str, least: float = -math.inf, most: float = math.inf, of: str = "") -> int:
     """Return a whole number from ``least`` to ``most``; ``of`` names what is counted in the message."""
-    number = parse_plain_number(value, flag, "give a whole number")
+    number = parse_plain_number(value, flag, "use a whole number")
     if not number.is_integer():
-        raise InputError(f"is {value!r}, not a whole number", flag, "give a whole number")
+        raise InputError(f"is {value!r}, not a whole number", flag, "use a whole number")
     if not least <= number <= most:
-        raise InputError(f"is {value}", flag, f"give {least} " + ("or more" if math.isinf(most) else f"to {most}{of}"))
+        raise InputError(f"is {value}", flag, f"use {least} " + ("or more" if math.isinf(most) else f"to {most}{of}"))
     return int(number)
 
 
 def check_size(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:
     if not math.isfinite(value) or abs(value) > LARGEST or 0.0 < abs(value) < SMALLEST:
-        raise InputError(f"is {value:g}", f"--{name}", f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}")
+        raise InputError(f"is {value:g}", f"--{name}", f"use 0 or a size from {SMALLEST:g} to {LARGEST:g}")
     if (positive and value <= 0.0) or (not negative and value < 0.0):
-        raise InputError(f"is {value:g}", f"--{name}", "give a number above 0" if positive else "give 0 or more")
+        raise InputError(f"is {value:g}", f"--{name}", "use a number above 0" if positive else "use 0 or more")
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,9 @@ def parse_range(over: "str | tuple[str, Sequence[float]]", *, of_scene: bool = T
         problem = f"{over!r} contains something that is not a number"
         raise InputError(problem, "--over", FORM, python=IN_PYTHON) from None
     if not (math.isfinite(start) and math.isfinite(stop)) or start == stop:
-        raise InputError(f"{over!r} is not an interval", "--over", "give two different finite numbers")
+        raise InputError(f"{over!r} is not an interval", "--over", "use two different finite numbers")
     if not 2 <= count <= MOST_VALUES:
-        raise InputError(f"{count} values", "--over", f"give 2 to {MOST_VALUES}")
+        raise InputError(f"{count} values", "--over", f"use 2 to {MOST_VALUES}")
     return ParameterRange(key.strip(), start, stop, count)
 
 
@@ -107,5 +107,5 @@ def parse_listed_range(over: Any) -> ParameterRange:
     except (TypeError, ValueError):
         raise InputError(f"{over!r:.60} is not a range of a parameter", "--over", FORM, python=IN_PYTHON) from None
     if not 2 <= len(values) <= MOST_VALUES or not all(math.isfinite(value) for value in values):
-        raise InputError(f"{len(values)} values", "--over", f"give 2 to {MOST_VALUES}, all of them finite numbers")
+        raise InputError(f"{len(values)} values", "--over", f"use 2 to {MOST_VALUES} values, all of them finite")
     return ParameterRange(str(key), values[0], values[-1], len(values), values)

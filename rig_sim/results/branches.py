@@ -113,7 +113,7 @@ class Continuation(Result, special_points.Continuation):
             f"{point.kind}: {self.parameter} = {point.value:.6g}, 95 % interval {format_interval(interval)}"
             for point, interval in zip(self.points, self.draws.intervals, strict=True)
         ]
-        lines += point_lines or ["no special point: none to find again in the draws"]
+        lines += point_lines or ["there is no special point, so the draws were not needed"]
         number, refused = self.draws.number, self.draws.refused
         return lines + ([f"{refused} of {number} draws are physically impossible and were omitted"] if refused else [])
 
@@ -144,26 +144,26 @@ def continue_(
     draws: int | None = None,
     progress: Stages = silent,
 ) -> Continuation:
-    """Follow fixed points and periodic orbits over a parameter: ``rig-sim continue``.
+    """Continue fixed points and periodic orbits over a parameter: ``rig-sim continue``.
 
-    Special points: hopf, fold (the stable and the unstable orbit meet), grazing (the orbit no longer sticks),
-    border-collision (the fixed point crosses the edge of a ramp).  Of two masses, orbits of periods 1 and 2 of their
-    map, with the points period-doubling, fold and crisis (a chaotic attractor meets the unstable orbit that bounds its
-    basin).  Start and the random sections are ignored.
+    The special points are hopf, fold (the stable and the unstable orbit meet), grazing (the orbit no longer sticks) and
+    border-collision (the fixed point crosses the edge of a ramp).  For two masses, orbits of periods 1 and 2 of their
+    map are followed, with the points period-doubling, fold and crisis (a chaotic attractor meets the unstable orbit
+    that bounds its basin).  The start and all random effects are ignored.
 
     Parameters
     ----------
     scene : str, Path, Scene or callable
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
-        `rig_sim.scene` returns, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap` of an
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result
+        of `rig_sim.scene`, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap` of an
         interval.
     over : str or (str, sequence of float)
         'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41).  In Python also a key and
         its values.
     draws : int, optional
-        Give each special point its 95 % interval from so many draws of the parameters of the section ``fit``, which
-        ``fit-friction --save-scene`` writes.  A key that no longer has its fitted value is not drawn.  In Python
-        `fitting.rank(...).save_scene(path)` writes it.
+        Compute a 95 % interval of each special point from this number of draws of the parameters.  The section ``fit``
+        of the scene, which ``fit-friction --save-scene`` writes, contains their covariance.  A parameter that no longer
+        has its fitted value is not drawn.  In Python `fitting.rank(...).save_scene(path)` writes it.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 
@@ -174,7 +174,8 @@ def continue_(
     Raises
     ------
     InputError
-        No such scene or key, another form of ``over``, draws of two masses or without a section ``fit``.
+        If the scene or key does not exist, ``over`` is invalid, or draws are requested for two masses or without a
+        section ``fit``.
 
     Examples
     --------
@@ -193,7 +194,7 @@ def continue_(
     first = swept.with_value(span.start)
     if first.coupling is not None:
         if draws is not None:
-            raise InputError("--draws with two masses", "--draws", "omit it")
+            raise InputError("--draws does not support two masses", "--draws", "omit it")
         return follow_two_masses(SweptScene(first, span.key), span, progress)
     changes = None if draws is None else draw_changes(first, draws, first.name)
     result = continuation(swept.flow, span.values(), progress=report_to("following", span.number, progress))
@@ -219,7 +220,7 @@ def follow_custom_system(
     system_at: Callable[[float], FormulaMap], span: ParameterRange, draws: int | None, progress: Stages
 ) -> Continuation:
     if draws is not None:
-        raise InputError("--draws of a system of one's own", "--draws", "omit it")
+        raise InputError("--draws does not support custom systems", "--draws", "omit it")
     name = type(system_at(span.start)).__name__
     return follow_maps(lambda value: require_interval(system_at(value)), span, name, progress)
 

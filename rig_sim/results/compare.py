@@ -50,7 +50,7 @@ class Comparison(Result, error_vs_time.Comparison):
         return [
             *lines,
             f"error: largest error of an event time, against {self.reference}; {self.cycles} cycles",
-            f"compiling or loading compiled code: {self.compile_s:.1f} s of CPU, not counted",
+            f"compiling or loading compiled code: {self.compile_s:.1f} s of CPU time, which is not included",
         ]
 
     def draw(self, ax: "Axes") -> None:
@@ -64,14 +64,14 @@ class Comparison(Result, error_vs_time.Comparison):
 
 
 def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) -> Comparison:
-    """Compare the methods of integration: largest error of an event time, and CPU time: ``rig-sim compare``.
+    """Compare methods of integration by the largest error of an event time and by CPU time: ``rig-sim compare``.
 
-    The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
+    The exact method, interpreted and compiled, steps through every cycle.  Compilation time is reported separately.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass.  In Python also what `rig_sim.scene`
+        Scene of one mass: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also what `rig_sim.scene`
         returns.
     until : float or str
         End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
@@ -85,7 +85,7 @@ def compare(scene: SceneLike, until: float | str, *, progress: Stages = silent) 
     Raises
     ------
     InputError
-        No such scene, two masses, a scene without events, or an ``until`` that is not positive or too long.
+        If the scene does not exist, has two masses or has no events, or ``until`` is not positive or too long.
 
     Examples
     --------

@@ -165,7 +165,7 @@ class Lock(Result):
 
     def undrawn(self) -> str:
         """Return why there is nothing to draw; "" where there is something."""
-        return "there is no motion under control" if self.control is None else ""
+        return "no motion was controlled" if self.control is None else ""
 
     def draw(self, ax: "Axes") -> None:
         if self.control is not None:
@@ -184,25 +184,25 @@ def lock(
     events: int = 20_000,
     progress: Stages = silent,
 ) -> Lock:
-    """Find an unstable orbit of a driven mass, and lock the motion onto it by small changes: ``rig-sim lock``.
+    """Lock a driven mass onto an unstable orbit by small changes of the drive: ``rig-sim lock``.
 
-    What changes is the drive's amplitude.  The orbits are found by close returns of the uncontrolled motion; of
-    several, the least unstable one is taken.  An event is a landing: a passage from slip to stick.
+    The control changes the amplitude of the drive.  The orbits are found from close returns of the uncontrolled motion,
+    and the least unstable one is used.  An event is a landing, that is, a transition from slip to stick.
 
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass with a drive.  In Python also what
-        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` whose `step` takes changes of its parameter.
+        Scene of one mass with a drive: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the
+        result of `rig_sim.scene`, or a `rig_sim.FormulaMap` whose `step` takes changes of its parameter.
     period : int
-        Landings in one turn of the orbit, 1 to 100.
+        Number of landings in one period of the orbit, 1 to 100.
     budget : float
-        Largest change of the drive's amplitude, as a fraction of it, from 0 to 1.
+        Largest relative change of the drive amplitude, from 0 to 1.
     method : str
-        'ogy' (Ott, Grebogi and Yorke: a change at each landing), or 'search' (the thesis's: raise the amplitude until
-        the section repeats, then undo it).
+        'ogy' (Ott, Grebogi and Yorke: a change at each landing), or 'search' (the method of the thesis: increase the
+        amplitude until the section repeats, then undo the change).
     events : int
-        Landings after which the control gives up.
+        Number of landings after which the control stops.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 
@@ -213,7 +213,7 @@ def lock(
     Raises
     ------
     InputError
-        No such scene or method, two masses, no drive, or a number out of range.
+        If the scene or method does not exist, the scene has two masses or no drive, or a number is out of range.
 
     Examples
     --------
@@ -225,7 +225,7 @@ def lock(
     size = parse_plain_number(budget, "--budget")
     check_size("budget", size)
     if size > 1.0:
-        raise InputError(f"is {size:g}", "--budget", "give a fraction of drive.u0, from 0 to 1")
+        raise InputError(f"is {size:g}", "--budget", "use a fraction of drive.u0, from 0 to 1")
     orbit_period = parse_whole(period, "--period", 1, MOST_PERIOD, " landings")
     max_events = parse_whole(events, "--events", 1, MOST_EVENTS)
     check_known(method, METHODS, "method", "--method")
@@ -240,7 +240,7 @@ def lock(
         start, name, outcome = first.state, loaded.name, first.outcome
     result = partial(Lock, method, orbit_period, size, size * f.strength, name=name, system=f)
     if outcome != "completed":
-        return result(outcome=outcome, advice="the motion does not reach a stick: change the drive or the belt")
+        return result(outcome=outcome, advice="the motion does not reach a stick; change the drive or the belt")
     if method == "search":
         return result(**search_orbit(f, start, orbit_period, size, progress))
     locking = find_and_lock(f, start, orbit_period, size, max_events, progress)
@@ -281,7 +281,7 @@ def search_orbit(f: FormulaMap, start: Array, period: int, budget: float, progre
     except StepLimitError:
         return {"outcome": "step limit", "advice": ADVICE["step limit"]}
     if search.change is None or search.points is None:
-        advice = "the section did not repeat with this period: raise the budget"
+        advice = "the section did not repeat with this period; increase the budget"
         return {"outcome": "not locked", "advice": advice, "events": search.events, "du_max": budget * f.strength}
     orbit: dict[str, Any] = {"points": search.points, "x": search.points[:, 0]}
     if isinstance(f, LandingMap):
@@ -289,7 +289,7 @@ def search_orbit(f: FormulaMap, start: Array, period: int, budget: float, progre
         orbit = {"x_slip": x_slip, "t": search.points[:, 0], "x": search.points[:, 1]}
     data = {"orbit": orbit, "events_to_lock": search.events, "events": search.events, "kept": search.kept}
     data |= {"du_max": search.change, "du_final": 0.0, "locked": search.stays}
-    advice = "without the change the motion leaves the orbit: use the method ogy"
+    advice = "the motion leaves the orbit without the change; use the method ogy"
     return data | ({"outcome": "locked"} if search.stays else {"outcome": "locked while changed", "advice": advice})
 
 

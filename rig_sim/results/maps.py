@@ -102,7 +102,7 @@ class Map(Result):
                 f"period {orbit.period}, {'stable' if orbit.stable else 'unstable'}, slope {orbit.slope:.12g}: "
                 + ", ".join(f"{point:.15g}" for point in orbit.points)
                 for orbit in self.periodic
-            ] or [f"no orbit of period {self.iterate}"]
+            ] or [f"no orbit of period {self.iterate} was found"]
         return lines
 
     def draw(self, ax: "Axes") -> None:
@@ -236,22 +236,22 @@ def map(
     iterate: int = 1,
     periodic: bool = False,
 ) -> Map:
-    """Map the stretch d = x2 - x1 of two masses from one global stick to the next: ``rig-sim map``.
+    """Compute the map of d = x2 - x1 of two masses from one global stick to the next: ``rig-sim map``.
 
-    The word lists the masses in the order in which they broke away; of several events the words are separated by
-    spaces.  Start and the belt's start are ignored.
+    The word lists the masses in the order of their break-aways; spaces separate the words of several events.  The start
+    of the masses and of the belt is ignored.
 
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses.  In Python also what
-        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` of an interval, whose x is ``d``.
+        Scene of two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result of
+        `rig_sim.scene`, or a `rig_sim.FormulaMap` of an interval, whose x is ``d``.
     d : float or sequence of float, optional
-        Stretch while both masses stick, m; several as 0.05,0.1.
+        Value of d while both masses stick, in m, or several values such as 0.05,0.1.
     iterate : int
-        How many events to follow.
+        Number of iterations of the map.
     periodic : bool
-        Find the periodic orbits of the map with ``iterate`` as their period.
+        Find the periodic orbits of the map with the period ``iterate``.
 
     Returns
     -------
@@ -261,7 +261,7 @@ def map(
     Raises
     ------
     InputError
-        One mass, a belt at rest, or an ``iterate`` below 1.
+        If the scene has one mass or a belt at rest, or ``iterate`` is below 1.
 
     Examples
     --------
@@ -294,7 +294,7 @@ def parse_places(d: Any) -> list[float]:
         return [] if d is None else [float(d)] if isinstance(d, int | float) else [float(number) for number in d]
     except (TypeError, ValueError):
         problem = f"{d!r:.60} contains something that is not a number"
-        raise InputError(problem, "--d", "write 0.1,0.2", python="give a number, or several") from None
+        raise InputError(problem, "--d", "write 0.1,0.2", python="use one number or several") from None
 
 
 def follow_events(f: StickMap, d: float, times: int, places: int) -> tuple[float, str, float, str, str]:
@@ -313,22 +313,22 @@ def follow_events(f: StickMap, d: float, times: int, places: int) -> tuple[float
 def map_place(f: FormulaMap, x: float, times: int) -> tuple[float, str, float, str, str]:
     image = float(f.images(np.array([x]), times)[0])
     is_defined = math.isfinite(image)
-    end = ("completed", "") if is_defined else ("outside", f"the map is defined from {f.lo:g} to {f.hi:g}")
+    end = ("completed", "") if is_defined else ("outside", f"the map is defined only from {f.lo:g} to {f.hi:g}")
     return (image, "", float(times), *end)
 
 
 def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages = silent) -> Basins:
-    """Find the attractors of two masses, and which share of the stretches d leads to each: ``rig-sim basins``.
+    """Find the attractors of two masses and the share of all values of d that leads to each: ``rig-sim basins``.
 
-    By cell mapping.  Start and the belt's start are ignored.
+    The method is cell mapping.  The start of the masses and of the belt is ignored.
 
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses.  In Python also what
-        `rig_sim.scene` returns, or a `rig_sim.FormulaMap` of an interval.
+        Scene of two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result of
+        `rig_sim.scene`, or a `rig_sim.FormulaMap` of an interval.
     cells : int
-        Cells that the interval is divided into.
+        Number of cells into which the interval is divided.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 
@@ -339,7 +339,7 @@ def basins(scene: SceneLike | FormulaMap, cells: int = 4000, *, progress: Stages
     Raises
     ------
     InputError
-        One mass, a belt at rest, or a number of cells out of range.
+        If the scene has one mass or a belt at rest, or the number of cells is out of range.
 
     Examples
     --------
@@ -362,18 +362,19 @@ def load_interval_map(scene: SceneLike | FormulaMap, events: int = 0) -> tuple[S
 
 
 def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: Stages = silent) -> Exponent:
-    """Find the Lyapunov exponent on the attractor that the start leads to: ``rig-sim lyapunov``.
+    """Find the Lyapunov exponent on the attractor that is reached from the start: ``rig-sim lyapunov``.
 
-    Per event of two masses, from their map.  Of a driven mass per landing, by the variational equation; per drive
-    period where the mass does not stick.  Positive for chaos.  On a periodic attractor it is exact.
+    For two masses, the exponent is computed from their map, per event.  For a driven mass, it is computed from the
+    variational equation, per landing, or per drive period if the mass does not stick.  It is positive for chaos, and
+    exact on a periodic attractor.
 
     Parameters
     ----------
     scene : str, Path, Scene or FormulaMap
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses with ``start.d`` or ``start.attractor``,
-        or of a driven mass.  In Python also what `rig_sim.scene` returns, or a `rig_sim.FormulaMap`.
+        Scene of two masses with ``start.d`` or ``start.attractor``, or of a driven mass: a built-in name (see ``rig-sim
+        scenes``) or a TOML file.  In Python also the result of `rig_sim.scene`, or a `rig_sim.FormulaMap`.
     events : int
-        Events to take the mean over: from one global stick to the next, landings, or steps.
+        Number of events (global sticks, landings or steps) over which the mean is taken.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 
@@ -384,7 +385,8 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     Raises
     ------
     InputError
-        One mass without a drive, a start that is not a global stick, or a number of events out of range.
+        If the scene has one mass without a drive, the start is not a global stick, or the number of events is out of
+        range.
 
     Examples
     --------
@@ -396,14 +398,14 @@ def lyapunov(scene: SceneLike | FormulaMap, events: int = 20_000, *, progress: S
     number = parse_whole(events, "--events", BLOCKS, MOST_EVENTS)
     if isinstance(scene, FormulaMap):
         result = exponent(scene.motion(scene.start), number, progress)
-        advice = "no exponent; use another start or other parameters"
+        advice = "no exponent was found; use another start or other parameters"
         return Exponent(**vars(result), per="step", name=type(scene).__name__, advice=advice)
     loaded = load_scene(scene)
     if loaded.coupling is None:
         return _driven_lyapunov(loaded, number, progress)
     (f, name), start = load_interval_map(loaded, number), find_stretch(loaded)
     if not abs(start) <= f.hi:
-        raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
+        raise InputError(f"is {start:g}", "start.d", f"both masses can stick only with abs(d) up to {f.hi:.6g}")
     result = exponent(f.motion(np.array([start])), number, progress)
     advice = "the motion stops sticking; list its events instead"
     return Exponent(**vars(result), per="event", name=name, advice=advice)
@@ -420,7 +422,7 @@ def _driven_lyapunov(loaded: Scene, events: int, progress: Stages) -> Exponent:
     rotation = None
     if per == "landing" and result.outcome == "completed":
         rotation = rotation_number(motion.follow(ROTATIONS))
-    advice = "no exponent; list the events instead"
+    advice = "no exponent was found; list the events instead"
     return Exponent(**vars(result), per=per, drive_periods_per_landing=rotation, name=loaded.name, advice=advice)
 
 

@@ -175,19 +175,19 @@ class Motion(Result):
 
 
 def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, max_steps: int = 1_000_000) -> Events:
-    """List when and where the mass sticks and slips: ``rig-sim events``.
+    """List the times and positions at which the mass begins to stick or to slip: ``rig-sim events``.
 
-    The kinds are transitions between N (slip slower than the belt), P (slip faster) and S (stick or ramp).  Of two
-    masses, each names the contact of both: SS>SN is the second mass's break-away.
+    The kind of an event is a transition between N (the mass slips and is slower than the belt), P (it is faster) and S
+    (stick or ramp).  For two masses it contains the states of both: SS>SN is the break-away of the second mass.
 
-    A motion that repeats bit for bit is integrated once.  A list holds at most 10^6 events (outcome 'event limit');
-    ``since`` lists a later part.
+    A motion that repeats exactly is integrated only once.  A list contains at most 10^6 events (outcome 'event limit');
+    use ``since`` to list a later part.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
-        `rig_sim.scene` returns.
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result
+        of `rig_sim.scene`.
     until : float or str
         End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     since : float or str
@@ -202,7 +202,7 @@ def events(scene: SceneLike, until: float | str, *, since: float | str = 0.0, ma
     Raises
     ------
     InputError
-        No such scene, times that are no numbers, or an ``until`` that is not positive.
+        If the scene does not exist, a time is not a number, or ``until`` is not positive.
 
     Examples
     --------
@@ -234,21 +234,22 @@ def run(
     max_steps: int = 1_000_000,
     force: bool = False,
 ) -> Motion:
-    """Sample time t, position x, velocity v and friction force F at a constant rate: ``rig-sim run``.
+    """Simulate a motion, with t, x, v and the friction force F at a constant rate: ``rig-sim run``.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  In Python also what
-        `rig_sim.scene` returns.
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the result
+        of `rig_sim.scene`.
     until : float or str
         End of the motion, which begins at 0, in the scene's unit of time or with a unit ('5 min').
     rate : float or str
         Samples per unit of time, or '1 kHz'.
     output : str or Path, optional
-        File to write, .h5 or .csv; the motion is then not kept in memory.
+        File to write (.h5 or .csv); the motion is then not kept in memory.
     method : str
-        'exact', or for comparison 'rk4-henon' (Runge-Kutta with Henon's events) or 'dop853' (scipy).
+        Method of integration: 'exact' or, for comparison, 'rk4-henon' (Runge-Kutta with Henon's events) or 'dop853'
+        (scipy).
     step : float or str, optional
         Time step of rk4-henon; default 0.01 sqrt(m/k).
     rtol : float, optional
@@ -265,10 +266,10 @@ def run(
     Raises
     ------
     InputError
-        No such scene or method, numbers that are not positive, more samples than a file may hold, or a file that
-        exists.
+        If the scene or method does not exist, a number is not positive, there are more samples than a file may contain,
+        or the file exists.
     RefusedError
-        The disk refuses.
+        If the file cannot be written.
 
     Examples
     --------

@@ -100,21 +100,22 @@ class FloquetOrbit(Result, multipliers.FloquetOrbit):
 
 
 def cycle(scene: SceneLike) -> Cycle:
-    """Find the periodic orbit that is reached from the slip point: ``rig-sim cycle``.
+    """Find the periodic orbit that is reached from break-away: ``rig-sim cycle``.
 
-    The scene's start, ``belt.start`` and its random sections are ignored.  Under a law with memory the search starts
-    with a mass that the belt carries from the spring's rest.
+    The start of the mass and of the belt, and all random effects, are ignored.  For a law with memory, the search
+    starts at the rest position with the mass moving with the belt.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file.
-        In Python also what `rig_sim.scene` returns.
+        Scene: a built-in name (see ``rig-sim scenes``) or a TOML file.
+        In Python also the result of `rig_sim.scene`.
 
     Returns
     -------
     Cycle
-        Period, times, extremes; laws 1 and 2 have the ``outcome`` 'grazing', others 'cycle', 'fixed point' ...
+        Period, times and extremes.  The ``outcome`` is 'grazing' for laws 1 and 2, and 'cycle', 'fixed point' ... for
+        others.
 
     Raises
     ------
@@ -137,13 +138,13 @@ def cycle(scene: SceneLike) -> Cycle:
 
 
 def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
-    """Find the fixed point, where friction and spring balance at rest: ``rig-sim fixed-point``.
+    """Find the fixed point, at which the mass is at rest and friction balances the spring: ``rig-sim fixed-point``.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass or two.  Its start is ignored.
-        In Python also what `rig_sim.scene` returns.
+        Scene of one or two masses: a built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.
+        In Python also the result of `rig_sim.scene`.
 
     Returns
     -------
@@ -173,17 +174,19 @@ def fixed_point(scene: SceneLike) -> FixedPoint | TwoMassFixedPoint:
 
 
 def floquet(scene: SceneLike, orbit: Literal["stable", "unstable"] = "stable") -> FloquetOrbit:
-    """Find a periodic orbit with its Floquet multipliers: ``rig-sim floquet``.
+    """Find a periodic orbit and its Floquet multipliers: ``rig-sim floquet``.
 
-    The first multiplier is 1, along the orbit; the second is 0 for an orbit that sticks, above 1 for an unstable one.
+    The first multiplier belongs to the direction along the orbit and is 1.  The second one is 0 for an orbit that
+    sticks, and above 1 for an unstable orbit.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.  In Python also
-        what `rig_sim.scene` returns.
+        Scene: a built-in name (see ``rig-sim scenes``) or a TOML file.  Its start is ignored.  In Python also
+        the result of `rig_sim.scene`.
     orbit : str
-        The orbit reached from the slip point ('stable'), or the one that separates it from the fixed point.
+        The orbit that is reached from break-away ('stable'), or the one that separates it from the fixed point
+        ('unstable').
 
     Returns
     -------

@@ -99,18 +99,18 @@ class Quench(Result, dither.Quench):
 
 
 def quench(scene: SceneLike, *, progress: Stages = silent) -> Quench:
-    """Find whether a fast drive (dither) quenches stick-slip, and from which amplitude on: ``rig-sim quench``.
+    """Find whether a fast drive (dither) quenches stick-slip, and the amplitude that is required: ``rig-sim quench``.
 
-    ``threshold`` is the amplitude u0 with which the mass alone reaches the belt's speed: v_belt abs(k - m omega^2 + i c
-    omega) / omega; ``threshold_with_slope`` counts the slope of friction there as damping.  ``simulated_threshold`` is
-    the least u0 with which the simulated motion, from the scene's start, loses its stick-slip; ``quenched`` says so for
-    the scene's own u0.
+    ``threshold`` is the amplitude u0 at which the mass without friction reaches the speed of the belt: v_belt abs(k - m
+    omega^2 + i c omega) / omega.  ``threshold_with_slope`` includes the slope of friction as damping.
+    ``simulated_threshold`` is the smallest u0 at which the simulated motion, from the start of the scene, loses its
+    stick-slip.  ``quenched`` tells whether this is so at the u0 of the scene.
 
     Parameters
     ----------
     scene : str, Path or Scene
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of one mass with a drive.  In Python also what
-        `rig_sim.scene` returns.
+        Scene of one mass with a drive: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python also the
+        result of `rig_sim.scene`.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 
@@ -121,7 +121,7 @@ def quench(scene: SceneLike, *, progress: Stages = silent) -> Quench:
     Raises
     ------
     InputError
-        No such scene, two masses, no drive, or a drive without a period.
+        If the scene does not exist, or has two masses, no drive, or a drive without a period.
 
     Examples
     --------

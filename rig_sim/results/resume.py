@@ -70,8 +70,8 @@ def lock_file(path: Path) -> FileLock | None:
     try:
         return FileLock(path)
     except BlockingIOError:
-        do = "wait for it to end, or name another file"
-        raise InputError("another process is writing it", str(path), do) from None
+        do = "wait until that process has ended, or use another file"
+        raise InputError("another process is writing this file", str(path), do) from None
     except OSError:
         return None
 
@@ -91,20 +91,20 @@ def read_rows(file: IO[bytes], path: Path, header: bytes) -> tuple[list[dict[str
     if stored is None or next(iter(expected)) not in stored:
         raise reject_foreign(path)
     for name, old, new in find_differences(stored, expected):
-        problem = f"belongs to another computation: {name} is {old!r:.60} there and {new!r:.60} here"
-        raise InputError(problem, str(path), "repeat the command that began it, or name another file")
+        problem = f"belongs to another computation: {name} is {old!r:.60} there, but {new!r:.60} here"
+        raise InputError(problem, str(path), "repeat the original command, or use another file")
     complete, newline, _ = file.read().rpartition(b"\n")
     rows = []
     for number, line in enumerate(complete.split(b"\n") if newline else [], 2):
         row = parse_line(line)
         if row is None:
-            raise InputError(f"line {number} is damaged", str(path), "remove that line: its row is computed again")
+            raise InputError(f"line {number} is damaged", str(path), "remove that line; its row is then computed again")
         rows.append(row)
     return rows, len(first) + len(complete) + len(newline)
 
 
 def reject_foreign(path: Path) -> InputError:
-    return InputError("exists and contains something else", str(path), "name a file that does not exist")
+    return InputError("exists but was not written by this command", str(path), "use a file that does not exist")
 
 
 def parse_line(line: bytes) -> dict[str, Any] | None:

@@ -46,7 +46,9 @@ def load_driven_start(scene: Scene) -> tuple[Flow, float, float]:
     if scene.drive is None:
         do = "set drive.u0 and drive.omega, or use the scene forced"
         python = f"write rig_sim.scene({scene.name!r}, **{{'drive.u0': 0.2, 'drive.omega': 1.6}}), or use 'forced'"
-        raise InputError("has no drive, and this is for a driven mass", f"scene {scene.name}", do, python=python)
+        raise InputError(
+            "has no drive, but this analysis requires a driven mass", f"scene {scene.name}", do, python=python
+        )
     flow = scene.flow()
     try:
         validate(flow)
@@ -60,7 +62,7 @@ def require_period(scene: Scene) -> tuple[Flow, float, float]:
     flow, x, v = load_driven_start(scene)
     if flow.omega == 0.0:
         python = change_in_python(scene.name, "drive.omega", "1.6")
-        problem = "drive.omega is 0: there is no drive period"
+        problem = "drive.omega is 0, so there is no drive period"
         raise InputError(problem, f"scene {scene.name}", "set drive.omega", python=f"write {python}")
     return flow, x, v
 
@@ -77,7 +79,7 @@ def make_landing_map(scene: Scene, budget: StepBudget) -> LandingMap:
     if scene.drive is None:
         python = change_in_python(scene.name, "drive.u0", "0.2")
         do = "set drive.u0 and drive.omega"
-        raise InputError("has no drive to control", f"scene {scene.name}", do, python=f"write {python}")
+        raise InputError("has no drive that could be controlled", f"scene {scene.name}", do, python=f"write {python}")
     try:
         return LandingMap(flow, budget=budget)
     except ValueError as error:
@@ -127,7 +129,7 @@ def find_custom_attractors(system_at: Callable[[float], FormulaMap], value: floa
 def require_interval(f: FormulaMap) -> FormulaMap:
     """Return a custom system that is a map of an interval; refuse one of more coordinates, or without an interval."""
     if len(f.scale) != 1 or not math.isfinite(f.hi - f.lo):
-        do = "give its interval"
+        do = "state its interval"
         python = f"write super().__init__(..., interval=(lo, hi)) in {type(f).__name__}, a map of one coordinate"
         raise InputError("is not a map of an interval", type(f).__name__, do, python=python)
     return f

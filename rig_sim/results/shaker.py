@@ -83,7 +83,7 @@ class Shaker(Result):
         for omega in plane.band or ():
             curve = plane.frequency_curve(omega, top).with_gaps()
             ax.plot(*curve, color="black", lw=1.2, label=f"omega = {omega:g} rad/s (band)")
-        ax.plot([self.phi % (2.0 * math.pi)], [self.a], "k+", ms=12, mew=2, label="a and phi given")
+        ax.plot([self.phi % (2.0 * math.pi)], [self.a], "k+", ms=12, mew=2, label="the stated a and phi")
         ax.set(xlim=(0.0, 2.0 * math.pi), ylim=(0.0, top))
         ax.set_xlabel("phase phi (rad)")
         ax.set_ylabel("amplification a (N s/m, or the scene's unit)")
@@ -102,28 +102,29 @@ def shaker(
     *,
     band: "str | tuple[float, float] | None" = None,
 ) -> Shaker:
-    """Find frequency and growth rate of the small oscillation under a shaker that feeds the velocity back.
+    """Find the frequency and growth rate of a small oscillation with velocity feedback by a shaker.
 
-    The shaker's force is the velocity times ``a``, ahead of it by ``phi``; ``phi`` = pi is a damper.  The picture shows
-    the curves of constant growth rate and frequency over phase and amplification, and shades where the oscillation
-    decays.
+    The force of the shaker is the velocity times ``a``, with a phase lead of ``phi``; ``phi`` = pi is a damper.  The
+    picture shows curves of constant growth rate and of constant frequency over phase and amplification; the oscillation
+    decays in the shaded region.
 
     Parameters
     ----------
     m : float or str
-        Mass, kg or with a unit, '300 g'.
+        Mass in kg, or with a unit such as '300 g'.
     k : float or str
-        Spring, N/m or with a unit.
+        Stiffness of the spring in N/m, or with a unit.
     c : float or str
-        Damper, N s/m or with a unit.
+        Damping in N s/m, or with a unit.
     gamma : float or str
-        Slope of friction at the belt's speed, N s/m: above 0 where it falls with the slip speed.
+        Slope of friction at the belt speed, N s/m; positive if friction decreases with slip speed.
     a : float or str
         Amplification, N s/m.
     phi : float or str
-        Phase by which the force leads the velocity, rad, or '170 deg'.
+        Phase by which the force leads the velocity, in rad, or with a unit such as '170 deg'.
     band : str or (float, float), optional
-        The frequencies that the filter passes, 'LOW:HIGH' in rad/s; ``stable`` needs them.  In Python also (low, high).
+        Pass band of the filter, 'LOW:HIGH' in rad/s; ``stable`` then requires a frequency within it.  In Python also
+        (low, high).
 
     Returns
     -------
@@ -132,7 +133,7 @@ def shaker(
     Raises
     ------
     InputError
-        A number that is not finite, or of the wrong sign; another form of ``band``.
+        If a number is not finite or has the wrong sign, or ``band`` is invalid.
 
     Examples
     --------
@@ -167,15 +168,15 @@ def shaker(
 
 
 def parse_band(band: "str | tuple[float, float]") -> tuple[float, float]:
-    do, python = "write LOW:HIGH in rad/s, as in 0.9:1.1", "give (low, high) in rad/s, as in (0.9, 1.1)"
+    do, python = "write LOW:HIGH in rad/s, as in 0.9:1.1", "use (low, high) in rad/s, as in (0.9, 1.1)"
     ends: Sequence[Any] = band.split(":") if isinstance(band, str) else band
     try:
         first, last = ends
     except (TypeError, ValueError):
-        raise InputError(f"{band!r} is not a band", "--band", do, python=python) from None
+        raise InputError(f"{band!r} is not a frequency band", "--band", do, python=python) from None
     low, high = (parse_number(end, "angular frequency", "--band") for end in (first, last))
     if not 0.0 <= low < high < math.inf:
-        raise InputError(f"{band!r} is not a band", "--band", "give 0 <= LOW < HIGH, in rad/s")
+        raise InputError(f"{band!r} is not a frequency band", "--band", "use 0 <= LOW < HIGH, in rad/s")
     return low, high
 
 

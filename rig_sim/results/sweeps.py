@@ -91,7 +91,10 @@ class Sweep(Result):
             share = f"{row.share:.3f}" if math.isfinite(row.share) else "-"
             lines.append(f"{row.value:14.8g}  {row.attractor:9}  {share:>5}  {period:>6}  {points}")
         if not self.attractors:
-            lines.append("no attractor at any value: the motion comes to rest, or never sticks as a whole")
+            lines.append(
+                "there is no attractor at any value, because the motion comes to rest, or both masses never stick "
+                "at once"
+            )
         return lines
 
     def draw(self, ax: "Axes") -> None:
@@ -120,31 +123,33 @@ def sweep(
     resume: str | Path | None = None,
     progress: Stages = silent,
 ) -> Sweep:
-    """Find the attractors of two masses, or of a driven one, at each value of a parameter: ``rig-sim sweep``.
+    """Find the attractors of two masses, or of a driven mass, at each value of a parameter: ``rig-sim sweep``.
 
-    Attractor 1 has the largest basin at the first value; then the numbers follow.  Two masses: the starts lie all over
-    the stretches that a global stick can have.  A motion without global stick counts as one more attractor, with points
-    in the section poincare alone.  A driven mass: the scene's start, the sliding mass at rest, and eight starts in
-    stick, all over the drive's phases of break-away.
+    Attractor 1 has the largest basin at the first value; at the next values, the numbers follow the attractors.  For
+    two masses, the starts cover all values of d = x2 - x1 in a global stick.  A motion without a global stick counts as
+    an additional attractor, with points only in the section 'poincare'.  For a driven mass there are ten starts: that
+    of the scene, the mass at rest on the moving belt, and eight sticks that end at different phases of the drive.
 
     Parameters
     ----------
     scene : str, Path, Scene or callable
-        A built-in name (see ``rig-sim scenes``) or a TOML file, of two masses or a driven one.  In Python also what
-        `rig_sim.scene` returns, or a function that returns, for a value of the parameter, a `rig_sim.FormulaMap`.
+        Scene of two masses or of a driven mass: a built-in name (see ``rig-sim scenes``) or a TOML file.  In Python
+        also the result of `rig_sim.scene`, or a function that returns, for a value of the parameter, a
+        `rig_sim.FormulaMap`.
     over : str or (str, sequence of float)
         'section.key=START:STOP', or 'section.key=START:STOP:N' for N values (default 41).  In Python also a key and
         its values.
     section : str
-        Points of two masses: x1 where the first turns forwards ('poincare'), or d = x2 - x1 while both stick ('map').
-        Of a driven mass: x at phase 0 of the drive ('poincare'), or at break-away ('slip').
+        Section that defines the points.  For two masses: x1 where the first mass begins to move forwards ('poincare'),
+        or d = x2 - x1 while both stick ('map').  For a driven mass: x at phase 0 of the drive ('poincare'), or at
+        break-away ('slip').
     jobs : int
-        Processes; the results do not depend on it.
+        Number of processes; the results do not depend on it.
     scheduler : str, optional
-        Address of a running dask scheduler whose workers do it; needs stickslip[cluster].
+        Address of a running dask scheduler whose workers compute the values; requires stickslip[cluster].
     resume : str or Path, optional
-        File of the finished values: written while they are found, and read when the same call is made again after an
-        interruption, so that none is computed twice.
+        File that stores each finished value.  After an interruption, the same call reads it and computes only the
+        missing values.
     progress : callable, optional
         Called with the stage, the work done and the total work.
 
@@ -155,8 +160,8 @@ def sweep(
     Raises
     ------
     InputError
-        No such scene or key, another form of ``over``, a section that the scene does not have, one mass without a
-        drive, or a file of another sweep.
+        If the scene or key does not exist, ``over`` is invalid, the section does not apply to the scene, the scene has
+        one mass without a drive, or the file belongs to another sweep.
 
     Examples
     --------
@@ -200,9 +205,9 @@ def prepare_scene(source: SceneLike, span: ParameterRange, section: str) -> tupl
     coupled = first.coupling is not None
     swept = SweptScene(first, span.key)
     if not coupled and section == "map":
-        raise InputError("is map, which is for two masses", "--section", "give poincare or slip")
+        raise InputError("is 'map', which applies only to two masses", "--section", "use 'poincare' or 'slip'")
     if coupled and section == "slip":
-        raise InputError("is slip, which is for a driven mass", "--section", "give poincare or map")
+        raise InputError("is 'slip', which applies only to a driven mass", "--section", "use 'poincare' or 'map'")
     for end in ends:
         if coupled:
             make_stick_map(end)
@@ -272,5 +277,5 @@ def read_finished(file: ResumeFile) -> dict[float, list[AttractorAt]]:
                 for stored in row["attractors"]
             ]
     except (KeyError, TypeError):
-        raise InputError("contains a row that is not of a sweep", str(file.path), "name another file") from None
+        raise InputError("contains a row that was not written by a sweep", str(file.path), "use another file") from None
     return finished

@@ -29,7 +29,7 @@ def check_magnitudes(scene: Scene, where: str) -> None:
             if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
                 problem = f"{section}.{key} is {value:g}"
                 raise InputError(
-                    problem, where, f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}: choose other units"
+                    problem, where, f"use 0 or a size from {SMALLEST:g} to {LARGEST:g}, if necessary in other units"
                 )
 
 
@@ -43,14 +43,14 @@ def check_together(scene: Scene, where: str) -> None:
                 raise InputError(f"{effect} without friction", where, f"add a friction section or remove {effect}")
     else:
         if friction.G_stick is not None and friction.d is not None:
-            raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -static Fs/d")
+            raise InputError("friction has both G_stick and d", where, "keep only one of them (G_stick = -static Fs/d)")
         if friction.formula is not None:
             _check_formula(friction, where)
         elif friction.memory_law() is not None:
             _check_memory(scene, friction, where)
         elif friction.law is None:
-            do = "give it, or --set friction.law=..., or friction.formula"
-            python = "write rig_sim.scene(..., **{'friction.law': 5}), or give friction.formula"
+            do = "set it with --set friction.law=..., or set friction.formula"
+            python = "write rig_sim.scene(..., **{'friction.law': 5}), or set friction.formula"
             raise InputError("friction.law is missing", where, do, python=python)
         else:
             _check_curve(friction, where)
@@ -58,25 +58,29 @@ def check_together(scene: Scene, where: str) -> None:
         for key in friction.law_record().parameters if is_speed_law else ():
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key
-                raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
+                raise InputError(f"law {friction.law} requires friction.{name}", where, f"set {name}")
     _check_formula_values(scene, where)
     if scene.joint is not None and (scene.belt is None or scene.belt.length is None):
-        raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
+        raise InputError("the section joint requires belt.length", where, "set the length of one turn of the belt")
     if scene.belt is not None and scene.belt.ripple_hz is not None and scene.belt.ripple is None:
         raise InputError(
-            "belt.ripple_hz without belt.ripple", where, "give the ripple's amplitude, or remove ripple_hz"
+            "belt.ripple_hz requires belt.ripple", where, "set the amplitude of the ripple, or remove ripple_hz"
         )
     if scene.belt is not None and scene.belt.ripple:
         if scene.belt.ripple_hz is None:
-            raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
+            raise InputError("belt.ripple_hz is missing", where, "set the frequency of the ripple in Hz")
         if scene.drive is not None:
-            raise InputError("belt.ripple with a drive", where, "remove one: the integrator supports one harmonic")
+            raise InputError(
+                "belt.ripple cannot be combined with a drive",
+                where,
+                "remove one of them, because the integrator supports only one harmonic",
+            )
     if scene.droop is not None:
         if friction is not None and not friction.law:
             key = "friction.law = 0" if friction.formula is None else "friction.formula"
             raise InputError(f"droop with {key} is not modelled", where, "remove droop, or use law 1 to 6")
         if scene.belt is None or friction is None:
-            raise InputError("droop without belt and friction", where, "add them or remove droop")
+            raise InputError("droop requires the sections belt and friction", where, "add them or remove droop")
         _check_droop(scene, scene.droop.fraction, where)
     if scene.shaker is not None:
         try:
@@ -86,31 +90,35 @@ def check_together(scene: Scene, where: str) -> None:
             raise InputError(problem, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
     for effect in ("slip_loss", "gaps"):
         if getattr(scene, effect) is not None and scene.encoder is None:
-            raise InputError(f"{effect} without an encoder", where, f"add an encoder section or remove {effect}")
+            raise InputError(f"{effect} requires an encoder", where, f"add an encoder section or remove {effect}")
     if scene.belt is not None and scene.belt.channel and scene.encoder is None:
-        raise InputError("belt.channel without an encoder", where, "add an encoder section or remove belt.channel")
+        raise InputError("belt.channel requires an encoder", where, "add an encoder section or remove belt.channel")
     if not math.isfinite(scene.spring.k / scene.mass.m):
-        raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")
+        raise InputError(
+            "spring.k/mass.m is outside the range of floating-point numbers",
+            where,
+            "use values of k and m that differ less",
+        )
 
 
 def _check_curve(friction: Friction, where: str) -> None:
     if friction.law != 0:
         if friction.contact is not None:
-            problem_text = f"friction.contact with law {friction.law}, which has its own contact"
+            problem_text = f"friction.contact cannot be combined with law {friction.law}, which defines its contact"
             raise InputError(problem_text, where, "remove it, or use law 0")
         return
-    do = "give friction.curve = [[0, F], [s, F], ...]: slip speed in m/s from 0, friction in N"
+    do = "set friction.curve = [[0, F], [s, F], ...]: slip speed in m/s from 0, friction in N"
     if friction.curve is None:
-        raise InputError("friction.curve is missing, which law 0 needs", where, do)
+        raise InputError("law 0 requires friction.curve", where, do)
     if len(friction.curve) > MOST_POINTS:
-        raise InputError(f"friction.curve has {len(friction.curve)} points", where, f"give {MOST_POINTS} or fewer")
+        raise InputError(f"friction.curve has {len(friction.curve)} points", where, f"use {MOST_POINTS} or fewer")
     if problem := find_problem(friction.curve):
         raise InputError(f"friction.curve: {problem}", where, do)
     for number in (number for point in friction.curve for number in point):
         if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
             raise InputError(f"friction.curve contains {number:g}", where, "choose other units")
     if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
-        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or remove friction.contact")
+        raise InputError("a ramp requires friction.d", where, "set friction.d, or remove friction.contact")
 
 
 def _check_memory(scene: Scene, friction: Friction, where: str) -> None:
@@ -121,22 +129,26 @@ def _check_memory(scene: Scene, friction: Friction, where: str) -> None:
     parameters = friction.memory_parameters()
     if missing := [name for name, value in parameters.items() if value is None]:
         units = ", ".join(f"{name} in {si_unit(law.parameters[name].dimension)}" for name in missing)
-        raise InputError(f"friction.{missing[0]} is missing, which law {friction.law} needs", where, f"give {units}")
+        raise InputError(f"law {friction.law} requires friction.{missing[0]}", where, f"set {units}")
     for name, value in parameters.items():
         parameter = law.parameters[name]
         if value is None or not math.isfinite(value) or value < 0.0 or (value == 0.0 and not parameter.may_be_zero):
             at_least = "0 or more" if parameter.may_be_zero else "above 0"
-            raise InputError(f"friction.{name} is {value:g}", where, f"give a number {at_least}")
+            raise InputError(f"friction.{name} is {value:g}", where, f"use a number {at_least}")
     if scene.belt is None or scene.belt.speed == 0.0:
-        raise InputError(f"friction.law {friction.law} without a moving belt", where, "set belt.speed")
+        raise InputError(f"friction.law {friction.law} requires a moving belt", where, "set belt.speed")
     for section in ("coupling", "shaker", "droop"):
         if getattr(scene, section) is not None:
-            raise InputError(f"{section} with law {friction.law} is not modelled", where, f"remove {section}")
+            raise InputError(f"{section} is not modelled with law {friction.law}", where, f"remove {section}")
     for key in ("contact", "curve"):
         if getattr(friction, key) is not None:
-            raise InputError(f"friction.{key} with law {friction.law}", where, f"remove {key}, or use law 0")
+            raise InputError(
+                f"friction.{key} cannot be combined with law {friction.law}", where, f"remove {key}, or use law 0"
+            )
     if friction.static != 1.0:
-        problem = f"friction.static with law {friction.law}, whose break-away follows from its memory"
+        problem = (
+            f"friction.static cannot be combined with law {friction.law}, whose break-away follows from its memory"
+        )
         raise InputError(problem, where, "drop static")
 
 
@@ -153,10 +165,10 @@ def _check_formula(friction: Friction, where: str) -> None:
         if name not in friction.formula_values():
             others = [key for key in friction.model_fields_set if key not in {*OWN_KEYS, *names}]
             close = nearest(name, others) if others else ""
-            do = f"give {name}" + (f"; {close}" if close.startswith("did") else "")
-            raise InputError(f"friction.{name} is missing, which the formula needs", where, do)
+            do = f"set {name}" + (f"; {close}" if close.startswith("did") else "")
+            raise InputError(f"the formula requires friction.{name}", where, do)
     if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
-        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or remove friction.contact")
+        raise InputError("a ramp requires friction.d", where, "set friction.d, or remove friction.contact")
 
 
 def _check_formula_values(scene: Scene, where: str) -> None:
@@ -174,15 +186,17 @@ def _check_masses(scene: Scene, where: str) -> None:
     start_keys = sorted(scene.start.model_fields_set)
     if scene.coupling is None:
         if other := [key for key in start_keys if key not in ("x", "v")]:
-            do = "give start.x and start.v, or add coupling.a and coupling.b"
-            raise InputError(f"start.{other[0]} without coupling", where, do)
+            do = "set start.x and start.v, or add coupling.a and coupling.b"
+            raise InputError(f"start.{other[0]} requires the section coupling", where, do)
         return
     for section in scene.terms():
         if section not in TWO_MASS_TERMS:
-            raise InputError(f"{section} with coupling: not modelled for two masses", where, f"remove {section}")
+            raise InputError(f"{section} is not modelled for two masses (section coupling)", where, f"remove {section}")
     for key in ("start", "length", "ripple", "ripple_hz", "channel"):
         if scene.belt is not None and getattr(scene.belt, key):
-            raise InputError(f"belt.{key} with coupling: not modelled for two masses", where, f"remove belt.{key}")
+            raise InputError(
+                f"belt.{key} is not modelled for two masses (section coupling)", where, f"remove belt.{key}"
+            )
     if scene.friction is not None and scene.friction.law_record().contact != "jump":
         problem = f"friction.law is {scene.friction.law}, a ramp, which is not modelled for two masses"
         raise InputError(problem, where, "use law 1, 3 or 5")
@@ -191,24 +205,36 @@ def _check_masses(scene: Scene, where: str) -> None:
         raise InputError(f"{key}, which is not modelled for two masses", where, "use law 1, 3 or 5")
     start_forms = [form for form in STARTS if any(key in start_keys for key in form)]
     if STARTS[0] in start_forms:
-        raise InputError("start.x or start.v with coupling", where, "give start.x1, v1, x2, v2, or start.d")
+        raise InputError(
+            "start.x and start.v cannot be combined with the section coupling",
+            where,
+            "set start.x1, v1, x2, v2, or start.d",
+        )
     if len(start_forms) > 1:
         problem = f"start has {start_forms[0][0]} and {start_forms[1][0]}"
-        raise InputError(problem, where, "keep one of: x1, v1, x2, v2; d; attractor")
+        raise InputError(problem, where, "keep either x1, v1, x2, v2 or d or attractor")
 
 
 def _check_droop(scene: Scene, fraction: float, where: str) -> None:
     """Refuse a droop that leaves the force undetermined, in terms of the scene's own keys."""
     flow = scene.model_copy(update={"shaker": None}).flow()
     if flow.droop > 0.0 and flow.static != 1.0:
-        raise InputError(f"droop with friction.static = {flow.static:g}", where, "remove one: with droop it must be 1")
+        raise InputError(
+            f"droop with friction.static = {flow.static:g}",
+            where,
+            "remove one of them, because droop requires a static of 1",
+        )
     if flow.droop > 0.0 and flow.Fs == 0.0:
-        raise InputError("droop with friction.Fs = 0: nothing loads the belt", where, "give Fs, or remove droop")
+        raise InputError(
+            "droop requires friction.Fs above 0, because no other force loads the belt",
+            where,
+            "set Fs, or remove droop",
+        )
     fall = steepest_fall(flow)
     if flow.droop * fall >= 1.0:
         largest = fraction / (flow.droop * fall)
-        problem = f"droop.fraction is {fraction:g}: friction would fall faster than the belt slows"
-        do = f"give less than {largest:.4g}" + ("" if largest >= 1e-3 else ", or remove droop")
+        problem = f"droop.fraction is {fraction:g}, so friction would fall faster than the belt slows"
+        do = f"use less than {largest:.4g}" + ("" if largest >= 1e-3 else ", or remove droop")
         raise InputError(problem, where, do + ", or a slower belt, or friction that falls less (gamma, G_slip)")
     try:
         validate(flow)

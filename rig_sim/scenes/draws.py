@@ -26,18 +26,20 @@ def draw_changes(scene: Scene, number: int, where: str) -> list[dict[str, object
     if fit is None:
         do = "write the scene with fit-friction --save-scene"
         python = "write the scene with fitting.rank(run).save_scene(path)"
-        raise InputError("has no section fit, which --draws needs", where, do, python=python)
+        raise InputError("has no section fit, which --draws requires", where, do, python=python)
     names, centre, spread = fit.parameters, np.array(fit.values), check_covariance(fit, where)
     points = len(scene.friction.curve or ()) if scene.friction is not None else 0
     curve = {f"{CURVE}{i}" for i in range(points)}
     for name in names:
         if name.startswith(CURVE) and name not in curve:
-            raise InputError(f"fit.parameters names {name}, which the curve does not have", where, "correct the name")
+            raise InputError(
+                f"fit.parameters names {name}, which is not a parameter of the curve", where, "correct the name"
+            )
     scale = np.sqrt(np.diag(spread))
     unit = np.where(scale > 0.0, scale, 1.0)
     size, axes = np.linalg.eigh(spread / unit[:, None] / unit)
     if size[0] < -ROUNDING * max(float(size[-1]), 1.0) * len(names):
-        raise InputError("fit.covariance is not a covariance: a variance below 0", where, "write the scene again")
+        raise InputError("fit.covariance contains a variance below 0", where, "write the scene again")
     root = unit[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
     rng = np.random.default_rng(scene.seed)
     normal = rng.standard_normal((number, len(names)))
@@ -76,7 +78,7 @@ def check_covariance(fit: FitSection, where: str) -> Array:
     rows = fit.covariance
     if len(fit.values) != n or len(rows) != n or any(len(row) != n for row in rows) or n == 0:
         problem = f"fit has {n} parameters, {len(fit.values)} values and {len(rows)} rows of covariance"
-        raise InputError(problem, where, "give as many of each, the covariance square")
+        raise InputError(problem, where, "use equal numbers of parameters and values, and a square covariance")
     matrix = np.array(rows)
     error = np.sqrt(np.abs(np.diag(matrix)))
     if np.any(np.diag(matrix) < 0) or np.any(np.abs(matrix - matrix.T) > ROUNDING * np.outer(error, error)):

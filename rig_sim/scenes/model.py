@@ -60,9 +60,11 @@ class Scene(Section):
         if self.coupling:
             do = "remove the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
             python = "use rig_sim.events, run, fixed_point, continue_, map, sweep, basins or lyapunov"
-            raise InputError("has two masses, and this is for one", f"scene {self.name}", do, python=python)
+            raise InputError(
+                "has two masses, but this analysis requires one mass", f"scene {self.name}", do, python=python
+            )
         if self.has_memory():
-            problem = "has a friction law with memory, which this analysis does not cover"
+            problem = "has a friction law with memory, which this analysis does not support"
             do = "use run, events, cycle or fixed-point, or use law 1 to 6"
             python = "use rig_sim.run, events, cycle or fixed_point"
             raise InputError(problem, f"scene {self.name}", do, python=python)
@@ -75,7 +77,7 @@ class Scene(Section):
         """Return the equation of motion of a scene whose friction law has a memory; parameters as of `flow`."""
         law = self.friction.memory_law() if self.friction else None
         if self.friction is None or law is None or self.belt is None:
-            raise ValueError("needs a belt and a law with memory")
+            raise ValueError("requires a belt and a law with memory")
         flow = self._one_mass_flow(belt_running=belt_running, factor=factor)
         values = {name: value for name, value in self.friction.memory_parameters().items() if value is not None}
         return make_memory_flow(flow, law.code, float(self.belt.speed), values)
@@ -85,7 +87,9 @@ class Scene(Section):
         if self.coupling is None:
             do = "set coupling.a and coupling.b, or use the scene two-mass"
             python = f"write rig_sim.scene({self.name!r}, coupling={{'a': 1.2, 'b': 1.3}}), or use 'two-mass'"
-            raise InputError("has one mass, and this is for two", f"scene {self.name}", do, python=python)
+            raise InputError(
+                "has one mass, but this analysis requires two masses", f"scene {self.name}", do, python=python
+            )
         return TwoMassFlow(self._one_mass_flow(), float(self.coupling.a), float(self.coupling.b))
 
     def _largest_slip_speed(self) -> float:

@@ -129,7 +129,7 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
     for setting in settings or ():
         key, equals, value = setting.partition("=")
         if not equals or not key.strip() or not value.strip() or "\n" in value.strip():
-            raise InputError(f"{setting!r} is not a change of a scene", "--set", FORM, python=IN_PYTHON)
+            raise InputError(f"{setting!r} does not change a scene", "--set", FORM, python=IN_PYTHON)
         changes[key.strip()] = parse_value(value.strip())
     return changes
 
@@ -160,17 +160,19 @@ def read_source(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
         path, where = Path(name), name
         if path.suffix != ".toml" and not path.exists():
             raise InputError(
-                f"no built-in scene {name!r} and no such file",
+                f"there is no built-in scene {name!r} and no such file",
                 "scene",
-                f"{nearest(name, builtin_names())}; or give the path of a TOML file",
+                f"{nearest(name, builtin_names())}; or use the path of a TOML file",
             )
     try:
         if path.exists() and not path.is_file():
-            raise InputError("is a folder or a device, not a file", where, "give the path of a TOML file")
+            raise InputError("is a folder or a device, not a file", where, "use the path of a TOML file")
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
         if len(data) > LARGEST_FILE:
-            raise InputError(f"is too large for a scene: over {LARGEST_FILE} bytes", where, "give a scene's TOML file")
+            raise InputError(
+                f"is too large for a scene: over {LARGEST_FILE} bytes", where, "use the TOML file of a scene"
+            )
         content = {
             name: dict(keys) if isinstance(keys, dict) else keys for name, keys in parse_toml(data, where).items()
         }
@@ -178,10 +180,10 @@ def read_source(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
         do = f"check the path, or use a built-in scene: {', '.join(builtin_names())}"
         raise InputError("no such file", where, do) from None
     except UnicodeDecodeError:
-        do = "give a scene's TOML file; of a run, fit-friction RUN.h5 --save-scene FILE.toml writes one"
-        raise InputError("cannot be read: it is not a text file", where, do) from None
+        do = "use the TOML file of a scene; for a run, fit-friction RUN.h5 --save-scene FILE.toml writes one"
+        raise InputError("is not a text file", where, do) from None
     except OSError as error:
-        raise InputError(f"cannot be read ({error})", where, "give the path of a TOML file") from None
+        raise InputError(f"cannot be read ({error})", where, "use the path of a TOML file") from None
     content.setdefault("name", path.stem)
     return where, {OLD_NAMES.get(section, section): keys for section, keys in content.items()}
 
@@ -236,7 +238,10 @@ def validate_content(content: dict[str, Any], where: str) -> Scene:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "missing":
-            do, python = f"give it, or --set {example_key(key)}=...", change_in_python(name, example_key(key), "VALUE")
+            do, python = (
+                f"set it in the file, or with --set {example_key(key)}=...",
+                change_in_python(name, example_key(key), "VALUE"),
+            )
             raise InputError(f"{key} is missing", where, do, python=f"write {python}") from None
         if first["type"] == "model_type":
             do = f"write --set {key}.KEY=VALUE, or a table [{key}]"

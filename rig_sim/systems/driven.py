@@ -188,7 +188,7 @@ class DrivenMap:
     ) -> None:
         validate(flow)
         if flow.omega == 0.0:
-            raise ValueError("drive.omega is 0: there is no drive period; need another number")
+            raise ValueError("drive.omega is 0, so there is no drive period; use another number")
         self.flow = flow._replace(phase=0.0)
         self.section, self.draws = SECTIONS[section], SECTIONS[draws]
         self.frame = fr = frame(for_kernels(self.flow))

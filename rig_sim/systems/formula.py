@@ -86,7 +86,7 @@ class FormulaMap:
         time : float
             1 for a map.
         """
-        raise NotImplementedError("a FormulaMap defines step(self, state, change=0.0)")
+        raise NotImplementedError("a FormulaMap must define step(self, state, change=0.0)")
 
     def after(self, state: Array, change: float = 0.0) -> Array:
         return self._step_within_interval(state, change)[0]

@@ -30,7 +30,7 @@ INTERVAL_STEP = 2e-5
 # Their step relative to the scales.  For the driven mass's map rounding, about 1e-15, over the step, and the remainder
 # of fourth order are both below 1e-9 of a derivative; 1e-4 loses orbits next to grazing.
 STATE_STEP = 1e-5
-NO_ATTRACTOR = Outcome("no attractor", "the orbit leaves the places where the map is defined")
+NO_ATTRACTOR = Outcome("no attractor", "the orbit leaves the region in which the map is defined")
 
 
 class StepLimitError(InputError):

@@ -33,7 +33,7 @@ ENDS = {
     **OUTCOMES,
     NO_STICK: Outcome(
         "no global stick",
-        "the masses did not both stick within the steps allowed: list the events instead, or slow the belt",
+        "both masses did not stick at once within the allowed steps; list the events instead, or use a slower belt",
     ),
 }
 
@@ -147,7 +147,7 @@ class StickMap:
     def __init__(self, flow: TwoMassFlow, precision: Precision = EXACT, *, budget: StepBudget | None = None) -> None:
         validate_two_masses(flow)
         if flow.mass.v_belt == 0.0:
-            raise ValueError("the belt is at rest: no stick ends; need a belt speed")
+            raise ValueError("on a belt at rest no stick ends; set a belt speed")
         self._steps_of_event = STEPS_OF_EVENT + STEPS_PER_FREQUENCY * math.sqrt(1.0 + 2.0 * flow.a)
         if self._steps_of_event > MOST_STEPS:
             largest = ((MOST_STEPS - STEPS_OF_EVENT) / STEPS_PER_FREQUENCY) ** 2 / 2.0
@@ -191,7 +191,7 @@ class StickMap:
     def event(self, d: float, *, compiled: bool = False) -> StickEvent:
         """Return the event that follows the global stick with stretch ``d`` (m); a long one uses compiled code."""
         if not abs(d) <= self.hi:
-            advice = f"both masses can stick with abs(d) up to {self.hi:.6g}"
+            advice = f"both masses can stick only with abs(d) up to {self.hi:.6g}"
             return StickEvent(math.nan, "", math.nan, "outside", advice)
         results, durations, outcomes, word = self._follow(np.array([d]), 1, compiled=compiled)
         if outcomes[0] == NO_STICK and not compiled:

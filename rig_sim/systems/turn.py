@@ -79,15 +79,17 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Work, *, to_the_en
         side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work, to_the_end=to_the_end)
         if side == 0:
             if tau == PURE_SLIP:
-                return Turn("pure slip", "the mass oscillates without sticking: it stays slower than the belt", p)
+                return Turn(
+                    "pure slip", "the mass oscillates without sticking, because it stays slower than the belt", p
+                )
             if math.isinf(tau):
                 if mode != modes.STICK and linear_terms(fr, mode)[0] < 0.0:
-                    return Turn("no cycle", "damping is negative: the motion grows without end", p)
-                advice = "the mass comes to rest: less damping or another speed may stick"
+                    return Turn("no cycle", "damping is negative, so the motion grows without bound", p)
+                advice = "the mass comes to rest; with less damping or another speed it may stick"
                 return Turn("fixed point", advice, fixed_point(fr, mode, p), mode=mode)
             if not math.isfinite(p + w):
                 return Turn(*modes.OUTCOMES[modes.NOT_FINITE], p)
-            return Turn("no cycle", f"none found within {STEPS_OF_SEARCH} steps", p)
+            return Turn("no cycle", f"no orbit was found within {STEPS_OF_SEARCH} steps", p)
         phases.append((mode, tau, p_start))
         entered = transition(fr, mode, side, p, 0.0)
         if entered >= modes.FORCE_REVERSAL:
@@ -95,7 +97,9 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Work, *, to_the_en
         if mode in (modes.STICK, modes.RAMP) and entered == modes.NEGATIVE:
             return Turn("", "", p, tuple(phases), (min(p_seen), max(p_seen), min(w_seen), max(w_seen)))
         mode = entered
-    advice = f"no end of stick within {PHASES_PER_TURN} phases: the mass passes the belt's speed in both directions"
+    advice = (
+        f"no stick ended within {PHASES_PER_TURN} phases, because the mass passes the belt's speed in both directions"
+    )
     return Turn("no cycle", advice, p)
 
 

@@ -53,22 +53,24 @@ def numbers(values: Any, name: str, where: str, do: str, *, single: bool = False
     try:
         column = np.asarray(values)
     except (TypeError, ValueError) as error:  # rows of unequal length
-        raise InputError(f"{name} is no column of numbers", where, do) from error
+        raise InputError(f"{name} is not an array of numbers", where, do) from error
     if column.dtype == object and column.ndim == 1:  # a column of a table with a number as text or None in it
         try:
             column = column.astype(np.float64)
         except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{name} holds {_find_non_number(column)!r:.40}, not numbers", where, do) from error
+            raise InputError(
+                f"{name} contains {_find_non_number(column)!r:.40} instead of numbers", where, do
+            ) from error
     if column.dtype.kind in "mM":
-        do = "give seconds: (t - t[0]) / np.timedelta64(1, 's')"
-        raise InputError(f"{name} holds dates or durations", where, do)
+        do = "convert them to seconds: (t - t[0]) / np.timedelta64(1, 's')"
+        raise InputError(f"{name} contains dates or durations instead of numbers", where, do)
     if column.dtype.kind not in "iuf":
-        raise InputError(f"{name} holds {column.dtype} values, not numbers", where, do)
+        raise InputError(f"{name} contains {column.dtype} values instead of numbers", where, do)
     if single and column.ndim == 0:
         return column.reshape(1)
     if column.ndim != 1:
         raise InputError(
-            f"{name} has shape {column.shape}", where, f"give one dimension, as in {name}[:, 0] or .ravel()"
+            f"{name} has shape {column.shape}", where, f"pass one dimension, as in {name}[:, 0] or .ravel()"
         )
     return column
 

@@ -81,11 +81,11 @@ def _cluster_errors(address: str) -> Iterator[None]:
     try:
         yield
     except KilledWorker:
-        do = "see the worker's log; short of memory, most likely"
+        do = "see the log of the worker; it probably ran out of memory"
         raise DeviceError("a dask worker died during this work", where, do) from None
     except (CancelledError, OSError, TimeoutError):
         what = "the connection to the dask scheduler was lost during this work"
-        raise DeviceError(what, where, "start it and its workers again, then do what is missing") from None
+        raise DeviceError(what, where, "start it and its workers again, then repeat the missing work") from None
     except Exception as error:
         what = f"a dask worker failed: {type(error).__name__}: {error}".splitlines()[0]
         raise DeviceError(what, where, f"check that every worker can import stickslip {VERSION}") from error
@@ -113,7 +113,9 @@ def _check_address(address: str) -> None:
     except ValueError:
         host, port = None, None
     if parts.scheme not in ("tcp", "tls") or not host or port is None:
-        raise InputError(f"{address!r} is not an address", FLAG, "give the scheduler's, such as tcp://127.0.0.1:8786")
+        raise InputError(
+            f"{address!r} is not an address", FLAG, "use the address of the scheduler, such as tcp://127.0.0.1:8786"
+        )
     try:
         socket.create_connection((host, port), PATIENCE_S).close()
     except OSError as error:
@@ -124,7 +126,7 @@ def _check_address(address: str) -> None:
 def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) -> None:
     """Raise InputError unless there are workers, all of this version, which can load the function."""
     where = f"{FLAG} {address}"
-    do = f"install stickslip {VERSION} there, as here"
+    do = f"install stickslip {VERSION} on the workers too"
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except TimeoutError:
@@ -132,9 +134,9 @@ def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) ->
     try:
         versions = set(client.run(_get_version).values())
     except ImportError as error:
-        raise InputError(f"the workers lack {error.name}", where, do) from None
+        raise InputError(f"the workers do not have the package {error.name}", where, do) from None
     if other := sorted(versions - {VERSION}):
-        raise InputError(f"the workers hold stickslip {', '.join(other)}", where, do)
+        raise InputError(f"the workers have stickslip {', '.join(other)}", where, do)
     with _cluster_errors(address):
         failures = client.run(_load_error, pickle.dumps(function)).values()
     if lacks := next(filter(None, failures), ""):
@@ -146,8 +148,8 @@ def check_sendable(work: Callable[..., Any]) -> None:
     try:
         pickle.dumps(work)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        do = "define the function in a module, outside any other function, or leave out jobs and scheduler"
-        raise InputError(f"cannot be handed to another process ({error})", "--jobs", do, python=do) from None
+        do = "define the function in a module, outside any other function, or omit jobs and scheduler"
+        raise InputError(f"cannot be sent to another process ({error})", "--jobs", do, python=do) from None
 
 
 def _get_version() -> str:

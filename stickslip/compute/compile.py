@@ -26,8 +26,11 @@ from stickslip.version import VERSION
 COMPILING = "compiling numerical kernels"
 # Printed once for all commands.  The kernels of smoothing, fits and simulations take 40 s of CPU time together: about
 # 30 s on two idle cores, up to a minute where nothing of the installation is in the disk cache yet.
-ANNOUNCEMENT = f"{COMPILING}, once per installation: about 30 s in all, on a slow or cold machine a minute"
-NOT_KEPT = f"{COMPILING}: some seconds to half a minute in each command, as no folder of this user's own can keep them"
+ANNOUNCEMENT = f"{COMPILING}, once per installation; this takes about 30 s, or a minute on a slow machine"
+NOT_KEPT = (
+    f"{COMPILING} in each command, for up to half a minute, because no folder is available in which only this "
+    "user can store them"
+)
 LONGEST_WAIT_S = 120.0  # for another process that compiles the same kernel; the slowest takes 15 s on an idle core
 
 
@@ -178,7 +181,7 @@ def _compile_in_one_process(entry: Any, folder: Path) -> None:
         try:
             save(*signature)
         except OSError as error:
-            sys.stderr.write(printable(f"machine code is not kept: {folder}: {error.strerror or error}\n"))
+            sys.stderr.write(printable(f"compiled code cannot be stored: {folder}: {error.strerror or error}\n"))
         finally:
             while locks:
                 locks.pop().release()

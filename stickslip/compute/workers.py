@@ -66,7 +66,7 @@ def _processes(number: int, join: bool) -> Iterator[Map]:
             child.terminate()
         pool.shutdown(cancel_futures=True)  # a thread of the pool that still ran when Python ends could fail there
         if isinstance(error, BrokenProcessPool):
-            do = "a machine short of memory does that: use fewer --jobs"
+            do = "the computer probably ran out of memory: use fewer --jobs"
             raise DeviceError("a process of this command was killed", "--jobs", do) from None
         raise
     pool.shutdown()

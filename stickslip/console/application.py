@@ -70,7 +70,7 @@ SetChanges = Annotated[
     cyclopts.Parameter(
         name="--set",
         negative=(),
-        help="Change a scene: section.key=value; repeatable.",
+        help="Change the scene, as in section.key=value; repeatable.",
         consume_multiple=False,
     ),
 ]
@@ -270,7 +270,7 @@ def _explain_usage(error: cyclopts.CycloptsError, name: str, words: Sequence[str
         and (flag := error.token.keyword or error.token.value)[1:2] != "-"
     ):
         what = f"Unknown option: {flag}"
-        hint = f"did you mean -{flag}?" if len(flag) > 2 else ""
+        hint = f"did you mean '-{flag}'?" if len(flag) > 2 else ""
     elif isinstance(error, cyclopts.MissingArgumentError):
         what = (
             what.removeprefix(f'Command "{command.split()[-1]}" ')
@@ -284,7 +284,7 @@ def _explain_usage(error: cyclopts.CycloptsError, name: str, words: Sequence[str
             hint = f"as in '{example[1]}'"
     elif isinstance(error, cyclopts.CoercionError) and error.token is not None and error.target_type in (int, float):
         kind = "whole number" if error.target_type is int else "number"
-        what, hint = f"{error.token.keyword} is {error.token.value!r}, not a {kind}", f"give a {kind}"
+        what, hint = f"{error.token.keyword} is {error.token.value!r}, not a {kind}", f"use a {kind}"
     return StickslipError(what, "command line", "; ".join(filter(None, [hint, f"see '{command} --help'"])))
 
 
@@ -327,8 +327,8 @@ def _print_answer(name: str, answer: object, as_json: bool) -> int:
         if error.errno in (errno.EPIPE, errno.EIO):  # the reader has gone: a pipe, or a terminal that was closed
             return answer.exit_code if isinstance(answer, Answer) else EXIT_DONE
         # an error in JSON could not be written there either
-        what = f"the command is done, but its result could not be printed: {error.strerror or error}"
-        unprinted = StickslipError(what, "stdout", "check the free space where stdout goes")
+        what = f"the command is complete, but its result could not be printed: {error.strerror or error}"
+        unprinted = StickslipError(what, "stdout", "check the free space at the destination of stdout")
         return _fail(name, unprinted, EXIT_DEVICE, as_json=False)
 
 

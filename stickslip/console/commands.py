@@ -4,31 +4,31 @@ from typing import NoReturn
 
 from stickslip.console import application
 
-HELP = """Find out which friction law a stick-slip contact obeys. The way of a record:
+HELP = """Identify the friction law of a stick-slip contact, in three steps:
 
-1. stickslip record -o run.h5 records from a board or the simulated rig; stickslip import track.csv -o run.h5 converts
-a table.
+1. stickslip record -o run.h5 records from a board or from the simulated rig; stickslip import track.csv -o run.h5
+converts a table.
 
-2. stickslip smooth run.h5 estimates the velocity, the sticks and the slips.
+2. stickslip smooth run.h5 estimates the velocity and detects sticks and slips.
 
 3. stickslip fit run.h5 ranks the friction laws and writes the report, run.report.html.
 
-Each is a command of 'daq', 'process', 'fit-friction' or 'rig-sim', which have more commands (see 'daq --help')."""
+The commands 'daq', 'process', 'fit-friction' and 'rig-sim' offer these steps and more (see 'daq --help')."""
 
 # In the order of the help: the word, where the command is, and what it does.  It is imported on use.
 COMMANDS = (
     ("record", "daq.cli.record:record", "daq record: record a run from a board or the simulated rig."),
-    ("import", "daq.cli.files:import_table", "daq import: make a run file of a table."),
+    ("import", "daq.cli.files:import_table", "daq import: convert a table to a run file."),
     ("smooth", "processing.cli:smooth", "process smooth: estimate the motion, sticks and slips of a run."),
     ("fit", "fitting.cli:fit", "fit-friction: fit the friction laws to runs, rank them, and write a report."),
     ("list", "daq.cli.notes:list_runs", "daq list: list runs with their notes and verdicts."),
     ("watch", "daq.cli.live:watch", "daq watch: show a run, or a recording that is running, in the browser."),
     ("export", "daq.cli.files:export", "daq export: write a run as a table."),
-    ("demo", "daq.cli.setup:demo", "daq demo: from pulses to a law, in a new folder."),
-    ("doctor", "daq.cli.setup:doctor", "daq doctor: check that this machine is ready."),
+    ("demo", "daq.cli.setup:demo", "daq demo: simulate, record and fit an example in a new folder."),
+    ("doctor", "daq.cli.setup:doctor", "daq doctor: check the installation."),
 )
 
-SIM = """rig-sim: simulate the rig: cycles, events, motion, bifurcations.
+SIM = """rig-sim: simulate the rig and analyse its cycles, events, motion and bifurcations.
 
 Example: rig-sim cycle base"""
 USAGES = {"fit": "Usage: stickslip fit [OPTIONS] RUN.h5 [RUN.h5 ...]"}

@@ -65,7 +65,7 @@ def whole_rate(name: str, text: str) -> Parameter:
 
         rate_hz = units.quantity(typed, "rate", name)
         if not rate_hz.is_integer():
-            raise InputError(f"{typed!r} is not a whole number of Hz", name, "give one such as 1000")
+            raise InputError(f"{typed!r} is not a whole number of Hz", name, "use a whole number, such as 1000")
         return int(rate_hz)
 
     return _make_flag(name, convert, text)
@@ -79,7 +79,7 @@ def rate(name: str, text: str) -> Parameter:
 
         rate_hz = units.quantity(typed, "rate", name)
         if rate_hz <= 0:
-            raise InputError(f"{typed!r} is not positive", name, "give a rate like '400 fps'")
+            raise InputError(f"{typed!r} is not positive", name, "use a rate such as '400 fps'")
         return rate_hz
 
     return _make_flag(name, convert, text)
@@ -96,7 +96,7 @@ def _make_flag(name: str, convert: Callable[[str], Any], text: str) -> Parameter
     def read(type_: Any, tokens: Sequence[cyclopts.Token]) -> Any:
         typed = tokens[0].value
         if typed.startswith("--"):
-            raise InputError(f"has no value: {typed} stands in its place", name, f"write a value after {name}")
+            raise InputError(f"has no value, because {typed!r} is also a flag", name, f"write a value after {name}")
         return convert(typed)
 
     return Parameter(

@@ -50,12 +50,12 @@ def take_log_flags(arguments: Sequence[str]) -> tuple[list[str], LogFlags]:
         elif argument == "--log" or argument.startswith("--log="):
             name = argument.removeprefix("--log").removeprefix("=") or next(remaining, "")
             if not name or (name.startswith("-") and name != "-"):
-                raise InputError("--log without a file", "command line", "write --log FILE")
+                raise InputError("--log requires a file", "command line", "write --log FILE")
             files.append(Path(name))
         else:
             rest.append(argument)
     if len(files) > 1:
-        raise InputError("--log given twice", "command line", "give it once")
+        raise InputError("--log is given twice", "command line", "use it only once")
     return rest, LogFlags(verbose, files[0] if files else None)
 
 
@@ -120,7 +120,7 @@ def _open_log(file: Path) -> TextIO | None:
     except OSError as error:
         if error.errno not in TAKES_NOTHING:
             raise
-        sys.stderr.write(printable(f"no log is written: {file}: {error.strerror}\n", sys.stderr.encoding))
+        sys.stderr.write(printable(f"the log cannot be written: {file}: {error.strerror}\n", sys.stderr.encoding))
         return None
     return stream
 
@@ -140,12 +140,12 @@ class _Printable(logging.Formatter):
 def _refuse_foreign(file: Path) -> None:
     """Raise InputError for an existing file that is not a log of this program."""
     if file.exists() and not file.is_file():
-        raise InputError("is not a file", str(file), "give another name (--log)")
+        raise InputError("is not a file", str(file), "choose another name (--log)")
     if file.exists():
         with file.open("rb") as stream:
             begins = stream.read(len(MARK))
         if begins not in (b"", MARK.encode()):
-            raise InputError("exists and is no log of stickslip", str(file), "give another name (--log)")
+            raise InputError("exists and is not a log of stickslip", str(file), "choose another name (--log)")
 
 
 class _StderrHandler(logging.Handler):

@@ -18,7 +18,7 @@ Stiffness = Annotated[
 ]
 RestPosition = Annotated[
     Measured | None,
-    flags.measured("--x0", "length", "Reading at the spring's rest: '60 mm', '-60 mm +- 0.1 mm'.", "x0"),
+    flags.measured("--x0", "length", "Position reading with the spring relaxed, such as '60 mm +- 0.1 mm'.", "x0"),
 ]
 
 
@@ -32,16 +32,22 @@ class PitchFlags:
         flags.measured(
             "--metres-per-count",
             "length",
-            "Travel in a count, '7.67 um'; negative where counting up means towards -x.",
+            "Travel per count, such as '7.67 um'; negative if counting up means moving towards -x.",
             "metres_per_count",
         ),
     ] = None
     counts_per_rev: Annotated[
-        int | None, Whole, Parameter(help="Counts in a turn of the encoder; with --circumference.", group=flags.RIG)
+        int | None,
+        Whole,
+        Parameter(help="Counts per revolution of the encoder; requires --circumference.", group=flags.RIG),
     ] = None
     circumference: Annotated[
         Measured | None,
-        flags.measured("--circumference", "length", "Travel in a turn, '125.66 mm'; negative as --metres-per-count."),
+        flags.measured(
+            "--circumference",
+            "length",
+            "Travel per revolution, such as '125.66 mm'; its sign is that of --metres-per-count.",
+        ),
     ] = None
 
     def stated(self) -> dict[str, Measured | int]:
@@ -52,12 +58,12 @@ class PitchFlags:
         if turn is None or travel is None:
             missing = "--counts-per-rev" if turn is None else "--circumference"
             flag = "--circumference" if turn is None else "--counts-per-rev"
-            raise InputError(f"{flag} without {missing}", "command line", f"give {missing} too, or --metres-per-count")
+            raise InputError(f"{flag} requires {missing}", "command line", f"add {missing}, or use --metres-per-count")
         if self.metres_per_count is not None:
-            what = "--metres-per-count beside --counts-per-rev and --circumference"
-            raise InputError(what, "command line", "give one or the other")
+            what = "--metres-per-count cannot be combined with --counts-per-rev and --circumference"
+            raise InputError(what, "command line", "use one or the other")
         if turn <= 0:
-            raise InputError(f"is {turn}", "--counts-per-rev", "give a positive whole number")
+            raise InputError(f"is {turn}", "--counts-per-rev", "use a positive whole number")
         pitch = check_measured("metres_per_count", travel.value / turn, abs(travel.sd / turn), "--circumference")
         return {"metres_per_count": pitch, "counts_per_revolution": turn}
 
@@ -72,7 +78,11 @@ class RigFlags(PitchFlags):
     belt_speed: Annotated[
         Measured | None,
         flags.measured(
-            "--belt-speed", "speed", "Belt speed towards +x: '0.22', '22 cm/s'.", "belt_speed", old_name="--belt"
+            "--belt-speed",
+            "speed",
+            "Belt speed, positive towards +x, such as '0.22' or '22 cm/s'.",
+            "belt_speed",
+            old_name="--belt",
         ),
     ] = None
     x0: RestPosition = None

@@ -37,13 +37,13 @@ def refuse_existing(
     path: Path, force: bool = False, *sources: Path, mark: str = "", kind: str = "", flag: str = "-o"
 ) -> None:
     """Raise InputError for an existing file, without ``force`` or a ``mark`` in its first 2000 bytes."""
-    where, other = str(path), "give another name"
+    where, other = str(path), "choose another name"
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
-        raise InputError("would replace its own source", where, f"{other} ({flag})", python=other)
+        raise InputError("is also an input of this command", where, f"{other} ({flag})", python=other)
     if path.is_dir():
-        raise InputError("is a folder", where, f"give a file name ({flag})", python="give a file name")
+        raise InputError("is a folder", where, f"use a file name ({flag})", python="use a file name")
     if path.exists() and not path.is_file():
-        raise InputError("is a device, not a file", where, "give a file name")
+        raise InputError("is a device, not a file", where, "use a file name")
     if path.exists() and not force:
         do = f"{other} ({flag}), or --force to replace it"
         python = f"{other}, or force=True to replace it"
@@ -51,9 +51,9 @@ def refuse_existing(
             raise InputError("the output file exists", where, do, python=python)
         with path.open("rb") as file:
             if mark.encode() not in file.read(2000):
-                raise InputError(f"exists and is no {kind}", where, do, python=python)
+                raise InputError(f"exists and is not a {kind}", where, do, python=python)
     if not path.absolute().parent.is_dir():
-        raise InputError("its folder does not exist", where, f"make {path.absolute().parent} first")
+        raise InputError("the folder of this file does not exist", where, f"make {path.absolute().parent} first")
 
 
 @contextmanager
@@ -97,7 +97,7 @@ def _make_temporary(target: Path, temporaries: list[tuple[Path, FileLock | None]
                 temporaries.append((_make_unlocked(target), None))
                 return
         if time.monotonic() > until:
-            raise InputError("another command is writing this file", str(target), "wait until that one has ended")
+            raise InputError("another command is writing this file", str(target), "wait until that command has ended")
         time.sleep(LOOK_EVERY_S)
 
 

@@ -42,8 +42,10 @@ def describe_refusal(path: Path, error: OSError) -> RefusedError:
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return RefusedError("the disk is full", str(path), "free space, or choose a folder on another disk")
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return RefusedError("may not be written", str(path), "give a place that you may write to")
-    return RefusedError(f"cannot be written: {error.strerror or error}", str(path), "give another place")
+        return RefusedError(
+            "cannot be written: permission denied", str(path), "choose a folder in which you have write permission"
+        )
+    return RefusedError(f"cannot be written: {error.strerror or error}", str(path), "choose another folder")
 
 
 @contextmanager

@@ -76,7 +76,7 @@ def check_place(target: Path, *sources: Path, force: bool = False, digest: str =
     mark = MARK + digest if digest else ""
     atomic.refuse_existing(target, force, *sources, mark=mark, kind="picture of this run", flag="--plot")
     if target.suffix.lower() not in FORMATS:
-        kind = target.suffix or "file without an ending"
+        kind = target.suffix or "file without a suffix"
         raise InputError(f"cannot draw a {kind}", str(target), "use .png, .svg or .pdf")
 
 

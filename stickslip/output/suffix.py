@@ -51,14 +51,14 @@ def check(path: Path, form: Format, flag: str = "-o", do: Mapping[Format, str] |
         return
     advice = f"name it {path.with_suffix(form.suffixes[0]).name} ({flag})"
     other = (do or {}).get(promised)
-    what = f"{path.suffix} is the suffix of {promised.name}; this is {form.name}"
+    what = f"{path.suffix} is the suffix of {promised.name}, but the output is {form.name}"
     raise InputError(what, str(path), f"{advice}; {other}" if other else advice)
 
 
 def check_run(path: Path, flag: str = "-o") -> None:
     """Raise InputError as `check` for a run file; for a table it names the command that writes one."""
     run = path.with_suffix(RUN.suffixes[0]).name
-    export = f"then for a table: daq export {run} -o {path.name}"
+    export = f"to obtain a table, then run: daq export {run} -o {path.name}"
     check(path, RUN, flag, {CSV: export, TEXT: export, PARQUET: export})
 
 
@@ -69,5 +69,7 @@ def choose_form(path: Path, forms: Mapping[str, Format], flag: str = "-o") -> st
             return key
     usual = " or ".join(form.suffixes[0] for form in forms.values())
     promised = NAMED.get(path.suffix.lower())
-    is_of = f"{path.suffix} is the suffix of {promised.name}" if promised else "its suffix names no format"
-    raise InputError(f"{is_of}; {usual} can be written", str(path), f"give a name in {usual} ({flag})")
+    is_of = f"{path.suffix} is the suffix of {promised.name}" if promised else "the suffix does not indicate a format"
+    raise InputError(
+        f"{is_of}, and only {usual} can be written", str(path), f"choose a name that ends in {usual} ({flag})"
+    )

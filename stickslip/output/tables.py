@@ -37,5 +37,9 @@ def write(
             try:
                 rows.to_parquet(temporary, index=False)
             except ImportError as error:
-                raise InputError("Parquet needs pyarrow", "--parquet", "pip install pyarrow, or use --csv") from error
+                raise InputError(
+                    "writing Parquet requires the package pyarrow",
+                    "--parquet",
+                    "install it (pip install pyarrow), or use --csv",
+                ) from error
             progress(len(rows))

@@ -111,7 +111,7 @@ def test_a_port_that_stays_away_is_reported_at_once_and_ends_in_exit_4(board, tm
     os.close(board._slave)
     board._unplug = lambda: None
     said = ""
-    while "waiting up to" not in said:
+    while "Waiting up to" not in said:
         said += recorder.stderr.readline()
     assert time.monotonic() - began < 2
     code, out, err = finish(recorder)

@@ -113,7 +113,7 @@ def test_a_connection_that_breaks_is_made_again(served, tmp_path):
     cutting.join()
     run = daq.load(tmp_path / "run.h5")
     assert (found.segments, served.connections) == (2, 2)
-    assert any("waiting up to" in line for line in said)
+    assert any("Waiting up to" in line for line in said)
     first = int(np.searchsorted(run.segment, 1))
     for part in (slice(0, first), slice(first, None)):
         k = np.round((run.time[part] - run.time[part][0]) * 1000).astype(int)

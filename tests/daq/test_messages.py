@@ -16,8 +16,8 @@ MISTAKES = [
     (lambda: daq.record((TIME, X), "new.h5", rate_hz=500), "daq.Recording.from_arrays(t, x).save(path)"),
     (lambda: daq.record([(TIME, X)], "run.h5", rate_hz=500), "or force=True to replace it"),
     (lambda: daq.record("/dev/ttyNONE", "new.h5", rate_hz=1000), "no such port; connect the board"),
-    (lambda: daq.record("rig://rig", "new.h5", rate_hz=0), "give rate_hz=1 or more"),
-    (lambda: daq.recover("run.h5"), "is not a journal; give the RUN.h5.part"),
+    (lambda: daq.record("rig://rig", "new.h5", rate_hz=0), "it must be rate_hz=1 or more"),
+    (lambda: daq.recover("run.h5"), "is not a journal; use the file RUN.h5.part"),
     (lambda: processing.smooth(daq.load("run.h5"), X), "processing.smooth(run, method=...)"),
 ]
 

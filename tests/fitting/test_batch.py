@@ -295,10 +295,10 @@ def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
 @pytest.mark.parametrize(
     ("runs", "keywords", "said"),
     [
-        ("run.h5", {}, "one run; give a list of runs"),
-        ([], {}, "no run; give files"),
-        ([1.0], {}, "not all are runs; give files"),
-        (["run.h5"], {"jobs": 0}, "jobs is 0; give 1 or more"),
+        ("run.h5", {}, "one run; pass a list of runs"),
+        ([], {}, "no run; pass files"),
+        ([1.0], {}, "some of the arguments are not runs; pass files"),
+        (["run.h5"], {"jobs": 0}, "jobs is 0; it must be 1 or more"),
         (["run.h5"], {"mass": 1.0, "stiffness": 1.0}, "mass and stiffness together"),
         (["run.h5"], {"laws": 9}, "9"),
         (["run.h5"], {"rig": [Rig()] * 2}, "2 rigs for 1 runs"),

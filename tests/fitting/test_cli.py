@@ -133,7 +133,7 @@ def test_the_list_says_which_part_of_a_run_was_fitted_and_its_table_is_replaced(
 
 def test_damping_without_a_mass_is_refused(belt_rig, run, tmp_path):
     path = belt_rig.written(tmp_path / "bare.h5", replace(store.load(run), rig=Rig()))
-    with pytest.raises(InputError, match="without a mass"):
+    with pytest.raises(InputError, match="requires the mass"):
         command.fit(path, damping=Measured(0.01))
 
 

@@ -65,7 +65,7 @@ def test_the_data_frame_has_a_row_a_law_with_its_parameters(ranking):
 def test_the_curve_is_drawn_where_it_was_measured_and_the_law_in_its_band(ranking):
     measured = ranking.adequacy.curve
     lines = drawn(ranking.plot())
-    np.testing.assert_array_equal(lines["measured, without a law"], np.c_[measured.speed, measured.friction])
+    np.testing.assert_array_equal(lines["model-free estimate"], np.c_[measured.speed, measured.friction])
     speed, force = lines["law 5 (hyperbolic)"].T
     np.testing.assert_allclose(force, force[0] / (1 + SLOPE * (speed - speed[0])), rtol=0.01)
     seen = np.interp(measured.speed, speed, force)

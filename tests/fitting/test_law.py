@@ -32,14 +32,20 @@ def test_a_fixed_parameter_is_not_fitted():
 @pytest.mark.parametrize(
     ("formula", "said"),
     [
-        ("a*b/(1 + gamma*s)", ["a and b enter only together"]),
-        ("Fs*a*b*exp(-c*d*s)", ["Fs, a and b enter only together", "c and d enter only together"]),
-        ("Fs - (a + b)*s", ["a and b enter only together"]),
-        ("Fs - (a - b)*s", ["a and b enter only together"]),
-        ("Fs/(1 + s*a/b)", ["a and b enter only together"]),
-        ("Fs*exp(-s/v) + a*exp(-s/v)", ["Fs and a enter only together"]),
-        ("a*b**2 - G*s", ["a and b enter only together"]),
-        ("Fs + 0*a", ["a does not change friction"]),
+        ("a*b/(1 + gamma*s)", ["friction depends only on a combination of a and b"]),
+        (
+            "Fs*a*b*exp(-c*d*s)",
+            [
+                "friction depends only on a combination of Fs, a and b",
+                "friction depends only on a combination of c and d",
+            ],
+        ),
+        ("Fs - (a + b)*s", ["friction depends only on a combination of a and b"]),
+        ("Fs - (a - b)*s", ["friction depends only on a combination of a and b"]),
+        ("Fs/(1 + s*a/b)", ["friction depends only on a combination of a and b"]),
+        ("Fs*exp(-s/v) + a*exp(-s/v)", ["friction depends only on a combination of Fs and a"]),
+        ("a*b**2 - G*s", ["friction depends only on a combination of a and b"]),
+        ("Fs + 0*a", ["friction does not depend on a"]),
         ("Fc + (Fs - Fc)*exp(-(s/v_s)**p) + b*s", []),
     ],
 )

@@ -76,7 +76,7 @@ def test_a_run_its_motion_and_its_arrays_give_one_answer(run, tmp_path):
     page = of_arrays.report(tmp_path / "arrays.html")
     assert of_arrays.report(page) == page  # its own again
     of_motion = fitting.rank(processing.smooth(run), run.rig, 5)
-    with pytest.raises(StickslipError, match="is the report of another run; give another name, or force=True"):
+    with pytest.raises(StickslipError, match="contains the report of another run; choose another name, or force=True"):
         of_motion.report(page)
     assert of_motion.best.parameters == fitting.rank(run, laws=5).best.parameters
     for name in ("k/m", "gamma"):  # without the length of a count the rounding is not known
@@ -146,7 +146,7 @@ def test_a_saved_ranking_is_loaded_as_it_was(ranking, tmp_path):
     for name, content in (("none", None), ("other", b"stickslip ranking 0.0\n")):
         if content is not None:
             (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match="no such file" if content is None else "not a ranking saved by"):
+        with pytest.raises(InputError, match="no such file" if content is None else "was not saved by"):
             fitting.Ranking.load(tmp_path / name)
 
 
@@ -164,7 +164,7 @@ def test_covariance_has_the_standard_errors_of_the_parameters(ranking):
 def test_a_fixed_parameter_has_no_covariance_and_no_profile(run):
     found = fitting.rank(run, laws=5, fix={"gamma": 9.6})
     assert "gamma" not in found.covariance
-    with pytest.raises(StickslipError, match="gamma is fixed; name a parameter that is fitted"):
+    with pytest.raises(StickslipError, match="gamma is fixed; choose a fitted parameter"):
         found.best.profile("gamma")
 
 
@@ -215,7 +215,7 @@ def test_several_runs_have_residuals_each_and_no_common_time(joint):
     first, second = (left.residual_m[left.run == number].to_numpy() for number in (1, 2))
     assert first == pytest.approx(second, abs=1e-9)
     assert joint.runs[0].best.position(3.0) == pytest.approx(joint.runs[1].best.position(3.0))
-    with pytest.raises(StickslipError, match=r"take those of one run: ranking.runs\[0\].row\(5\)"):
+    with pytest.raises(StickslipError, match=r"use those of one run: ranking.runs\[0\].row\(5\)"):
         joint.best.position(3.0)
     with pytest.raises(StickslipError, match=r"ranking.best.profile\(name\)"):
         joint.runs[0].best.profile("k/m")
@@ -228,7 +228,7 @@ def test_where_no_law_describes_the_record_tables_say_what_to_take(run):
     found = fitting.rank(run, laws=1)
     assert found.adequacy.rejected
     for table in (lambda: found.covariance, lambda: found.correlation, lambda: found.bootstrap(2)):
-        with pytest.raises(StickslipError, match=r"take ranking.curve, which needs no law"):
+        with pytest.raises(StickslipError, match=r"use ranking.curve, which needs no law"):
             table()
     assert len(found.curve) > 100
     assert found.residuals.residual_m.std() > 10 * found.adequacy.noise_m
@@ -248,9 +248,12 @@ MISTAKES = [
     (lambda run: fitting.rank(run.time, run.position[1:]), "time has 6000 values and position 5999; give one each"),
     (lambda run: fitting.rank([]), "no run; give at least one"),
     (lambda run: fitting.rank(run, laws="strybeck"), "laws: 'strybeck' is no published law; did you mean 'stribeck'?"),
-    (lambda run: fitting.rank(run, fix={"gama": 10}), "fix: no law that is fitted has a parameter gama; did you mean"),
-    (lambda run: fitting.rank(run, fix=[("gamma", 10)]), "give a dictionary, as in fix={'gamma': 9.6}"),
-    (lambda run: fitting.rank(run, fix={"gamma": "10"}), "fix: of gamma is '10'; give a dictionary"),
+    (
+        lambda run: fitting.rank(run, fix={"gama": 10}),
+        "fix: none of the fitted laws has a parameter gama; did you mean",
+    ),
+    (lambda run: fitting.rank(run, fix=[("gamma", 10)]), "write fix={'gamma': 9.6}"),
+    (lambda run: fitting.rank(run, fix={"gamma": "10"}), "fix: the value of gamma is '10'; write fix="),
     (lambda run: fitting.rank(run, bounds={"gamma": 10}), "as in bounds={'gamma': (0, 20)}"),
     (lambda run: fitting.rank(run, bounds={"gamma": (10, 5)}), "bounds: bounds of gamma are 10 and 5"),
     (lambda run: fitting.rank(run, bounds={"gamma": (5, 10)}, start={"gamma": 20}), "start: gamma is 20, not within"),
@@ -262,28 +265,28 @@ MISTAKES = [
     (lambda run: fitting.rank(RUN, begin=30), "give other times with begin and end"),
     (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles to exclude from several runs"),
     (lambda run: fitting.rank([run, run], belt_speed=0.2), "several runs"),
-    (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; give one for all"),
+    (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; pass one rig for all"),
     (lambda run: fitting.rank(run.time, np.arange(6000)), "daq.Recording.from_arrays(time, counts, metres_per_count="),
     (lambda run: fitting.Law("mine", "Fs/(1 + s/v"), "formula: this bracket is not closed; add a )"),
     (lambda run: fitting.Law("mine", "Fc + foo(s)"), "formula: unknown function foo; known: exp, log"),
     (
         lambda run: fitting.Law("mine", MINE, start={"v": 1}),
-        "start: v is no parameter of law mine; did you mean 'v_s'?",
+        "start: law mine has no parameter v; did you mean 'v_s'?",
     ),
     (lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.2, 0.1)}), "bounds: bounds of v_s"),
     (lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.0, None)}, start={"v_s": -1}), "start: v_s is -1"),
     (lambda run: fitting.Law("mine", abs), 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")'),
 ]
 OF_A_RANKING = [
-    (lambda found: fitting.rank(found), "give a run: fitting.rank(daq.load(path))"),
+    (lambda found: fitting.rank(found), "pass a run: fitting.rank(daq.load(path))"),
     (lambda found: found.best.profile("gama"), "law 5 has no parameter 'gama'; did you mean 'gamma'?"),
-    (lambda found: found.best.profile("wear"), "wear follows from other parameters; take one of k/m"),
-    (lambda found: found.best.position("now"), "t: t is 'now'; give numbers, as in t=np.linspace(0, 1, 101)"),
-    (lambda found: found.bootstrap(1), "bootstrap: n is 1; give 2 draws or more"),
-    (lambda found: found.report("other.html"), "give another name, or force=True to replace it"),
-    (lambda found: found.report("run.pdf"), "name it run.html (path); then print the page from a browser"),
+    (lambda found: found.best.profile("wear"), "wear is computed from other parameters; choose one of k/m"),
+    (lambda found: found.best.position("now"), "t: t is 'now'; pass numbers, as in t=np.linspace(0, 1, 101)"),
+    (lambda found: found.bootstrap(1), "bootstrap: n must be a whole number, 2 or more, not 1"),
+    (lambda found: found.report("other.html"), "choose another name, or force=True to replace it"),
+    (lambda found: found.report("run.pdf"), "name it run.html (path); to obtain a PDF, print this page from a browser"),
     (lambda found: found.save_scene("rig.h5"), "this is a TOML file; name it rig.toml (path)"),
-    (lambda found: found.save_scene("there.toml"), "give another name, or force=True to replace it"),
+    (lambda found: found.save_scene("there.toml"), "choose another name, or force=True to replace it"),
 ]
 
 

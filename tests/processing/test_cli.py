@@ -84,7 +84,7 @@ def test_compare_states_true_errors_only_where_truth_was_recorded(typed, path, t
         assert row["sigma_v"] > 0
     code, out, _ = typed("compare", silent)
     assert code == 0
-    assert "contains no exact motion" in out
+    assert "does not contain the exact motion" in out
 
 
 def test_smoothing_does_not_look_at_the_truth(typed, path, tmp_path, motion, run_data):

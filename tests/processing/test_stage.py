@@ -151,7 +151,7 @@ def test_a_stage_made_from_other_raw_data_is_refused(saved):
     with h5py.File(path, "r+") as file:
         del file["entry/smooth/parameters/sha256_input"]
         file["entry/smooth/parameters/sha256_input"] = "0" * 64
-    with pytest.raises(InputError, match=r"made from other raw data; run: process smooth run\.h5"):
+    with pytest.raises(InputError, match=r"computed from other raw data; run 'process smooth run\.h5"):
         stage.load(path)
 
 

@@ -37,7 +37,9 @@ RATE = re.compile(r"(\d+(?:\.\d+)?) ?(k?)Hz")
 NAMED_WITHIN = 0.3  # of the samples a slip: what a record shows of them against what they are
 RATE_ENOUGH = 0.8  # of the rate at which a slip has the fewest samples: what is advised against what would do
 # What may be said of a record that holds fewer than the fewest sticks.
-FEW_STICKS = re.compile(r"no sustained stick|no slip between two sticks|complete stick-slip cycles?[,;]|never slips")
+FEW_STICKS = re.compile(
+    r"(without a|this run has no) sustained stick|no slip between two sticks|complete stick-slip cycle|never slips"
+)
 # From here on the law must be found, in this share of the contacts.
 ENOUGH_SAMPLES, ENOUGH_CYCLES, PROMISED = 20.0, 10.0, 0.95
 FEWEST_COUNTED = 20  # contacts of which a share of 0.95 says anything; fewer, and one failure would break the promise

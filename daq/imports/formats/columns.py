@@ -31,7 +31,7 @@ def require(library: str, path: Path) -> None:
     """Raise InputError, which says how to install it, where a library of the extra ``formats`` is missing."""
     if find_spec(library) is None:
         what = f"{library}, which reads {path.suffix} files, is not installed"
-        do = "install the extra 'formats': pip install 'stickslip[formats]'; or export the table as CSV"
+        do = "install the extra 'formats': pip install 'stickslip[formats]', or export the table as CSV"
         raise InputError(what, str(path), do)
 
 
@@ -49,17 +49,17 @@ def refuse_unreadable(kind: str, path: Path, do: str) -> Iterator[None]:
 
 def parse_isolated(work: Work, path: Path, seconds: float, memory: int, kind: str, do: str) -> bytes:
     """Return what a child makes of a file; ``memory``, bytes, is what it may use in addition to the file's size."""
-    with open_regular(path, "give the file in it") as file:
+    with open_regular(path, "choose a file in it") as file:
         size = os.fstat(file.fileno()).st_size
     try:
         return run_isolated(work, path, seconds, memory + 3 * min(size, MOST_BYTES))
     except BrokenOffError as error:
-        raise InputError(f"is not a {kind} that can be read: it {error}", str(path), do) from error
+        raise InputError(f"is not a readable {kind}: it {error}", str(path), do) from error
 
 
 def pack_columns(parser: Callable[[Source], tuple[str, list[Column]]], path: Path, kind: str, do: str) -> bytes:
     """Return, in the child, when a file was recorded and its columns, as a parser reads them, for `build_table`."""
-    source = read(path, "give the file in it")
+    source = read(path, "choose a file in it")
     with refuse_unreadable(kind, path, do):
         recorded, columns = parser(source)
     check_size(1, len(columns), str(path))
@@ -77,7 +77,7 @@ def build_table(path: Path, message: bytes, kind: str, content: str) -> Table:
     head, _, numbers = message.partition(b"\n")
     sha256, modified_s, recorded, descriptions = json.loads(head)
     if not descriptions:
-        raise InputError(f"has no {content}", str(path), "give a file with times and positions in it")
+        raise InputError(f"has no {content}", str(path), "use a file with times and positions")
     ends = 8 * np.cumsum([0, *(size for _, size, _ in descriptions)])
     every = [
         Column(name, np.frombuffer(numbers[first:last], "<f8"), None if clock is None else (clock[0], clock[1]))

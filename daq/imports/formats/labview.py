@@ -109,11 +109,11 @@ def _check_segment(segment: _Segment, first: _Segment, where: str) -> None:
     source.check_size(len(segment.rows), len(segment.names), where)
     if segment.names != first.names:
         others, names = source.shorten(segment.names), source.shorten(first.names)
-        what = f"a segment has the channels {others}, the first one {names}"
+        what = f"a segment has the channels {others}, but the first segment has {names}"
         raise InputError(what, place, "export segments with equal channels")
     for dimension in segment.tags.get("X_Dimension", []):
         if dimension not in ("", "Time"):
-            what = f"X_Dimension is {dimension[:40]!r}: the X values are not times"
+            what = f"X_Dimension is {dimension[:40]!r}, so the X values are not times"
             raise InputError(what, place, "export the signal against time")
 
 

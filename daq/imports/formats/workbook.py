@@ -37,9 +37,13 @@ def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = si
     if sheet is None:
         if len(tables) != 1:
             what = (
-                f"which sheet is the table? {source.shorten(map(repr, tables))}" if tables else "no sheet has a table"
+                f"which sheet is the table? {source.shorten(map(repr, tables))}"
+                if tables
+                else "no sheet contains a table"
             )
-            raise InputError(what, where, "give --sheet=NAME" if tables else "give a sheet with times and positions")
+            raise InputError(
+                what, where, "choose one with --sheet=NAME" if tables else "choose a sheet with times and positions"
+            )
         sheet = tables[0]
     elif sheet not in sheets:
         raise InputError(f"no sheet {sheet!r}", where, f"the sheets are: {source.shorten(map(repr, sheets))}")
@@ -64,7 +68,7 @@ def _parse(path: Path) -> bytes:
 
     from openpyxl import load_workbook
 
-    file = source.read(path, "give the workbook in it")
+    file = source.read(path, "choose a workbook in it")
     with refuse_unreadable("workbook", path, SAVE), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about extensions that hold no cells
         unpacked = sum(entry.file_size for entry in zipfile.ZipFile(io.BytesIO(file.data)).infolist())

@@ -153,14 +153,14 @@ def end_at_start(outcome: str, start: Array) -> Lock:
 SEARCHED, TRANSIENT = 4000, 100
 REGULAR = 1e-8  # share of the scales within which a regular motion repeats
 ADVICE = {
-    "not locked": "the motion did not come close enough to the orbit: allow more events or a larger budget",
-    "no budget": "an unstable orbit needs control: give a budget above 0",
-    "no orbit": "the motion does not return close to an orbit of this period: choose another one",
-    "regular motion": "the motion settles on a stable orbit of another period: use this one or other parameters",
-    "motion ended": "under control the map has no next state: use a smaller budget",
-    "several unstable directions": "one parameter holds orbits with one unstable direction: use another period",
-    "no response": "the parameter does not move the state off this orbit: use another period",
-    "step limit": "the search has taken all its integrator steps: use a shorter period or other parameters",
+    "not locked": "the motion did not come close enough to the orbit; allow more events or a larger budget",
+    "no budget": "an unstable orbit requires control; use a budget above 0",
+    "no orbit": "the motion does not return close to an orbit of this period; choose another period",
+    "regular motion": "the motion settles on a stable orbit of another period; use that period or other parameters",
+    "motion ended": "the map has no next state under control; use a smaller budget",
+    "several unstable directions": "a single parameter can control only one unstable direction; use another period",
+    "no response": "the parameter does not affect this orbit; use another period",
+    "step limit": "the search has used all its integrator steps; use a shorter period or other parameters",
 }
 
 

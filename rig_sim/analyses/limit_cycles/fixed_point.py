@@ -60,9 +60,9 @@ def fixed_point(flow: Flow) -> FixedPoint:
     """Return the fixed point of a flow: one mass, no drive."""
     validate(flow)
     if flow.u0 != 0.0:
-        return FixedPoint("driven", "a driven mass does not come to rest: remove the drive")
+        return FixedPoint("driven", "a driven mass does not come to rest; remove the drive")
     if flow.v_belt == 0.0 and frame(flow).B > 0.0 and frame(flow).d == 0.0:
-        return FixedPoint("belt at rest", "the mass rests wherever friction holds it: set belt.speed")
+        return FixedPoint("belt at rest", "on a belt at rest, friction holds the mass at any position; set belt.speed")
     if frame(flow).v > frame(flow).s_max:
         return FixedPoint(*modes.OUTCOMES[transition(frame(flow), modes.NEGATIVE, -1, 0.0, 0.0)])
     F, slope = friction_at_rest(flow)
@@ -99,7 +99,7 @@ def friction_at_rest(flow: Flow) -> tuple[float, float]:
     if fr.B == 0.0:
         return 0.0, 0.0
     if fr.v == 0.0 and fr.d == 0.0:
-        raise ValueError("on a belt at rest friction has no slope; the belt must run")
+        raise ValueError("friction has no slope on a belt at rest; set belt.speed")
     mode = modes.RAMP if fr.v <= fr.d else modes.NEGATIVE
     return force(flow, mirror_mode(fr, mode), 0.0, -flow.v_belt, 0.0), friction_slope(fr, mode, -fr.v)
 

@@ -62,7 +62,10 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbi
     orbit = cycle(flow) if orbit is None else orbit
     if orbit.outcome not in ("cycle", "grazing") or orbit.x_min is None or orbit.x_max is None:
         if which == "unstable" and orbit.outcome == "fixed point":
-            return FloquetOrbit("no cycle", "no stick-slip orbit around the fixed point, so nothing separates the two")
+            return FloquetOrbit(
+                "no cycle",
+                "there is no stick-slip orbit around the fixed point, and therefore no unstable orbit between them",
+            )
         return FloquetOrbit(orbit.outcome, orbit.advice)
     fr = frame(flow)
     outer = displacement(fr, orbit.x_min if fr.mirror > 0.0 else orbit.x_max)
@@ -71,7 +74,7 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbi
         return make_orbit(fr, turn, 1.0 if orbit.outcome == "grazing" else turn.multiplier, orbit.outcome)
     inner = fixed_point(flow)
     if inner.x is None or not inner.stable:
-        return FloquetOrbit("no cycle", "the fixed point is not stable: no unstable orbit surrounds it")
+        return FloquetOrbit("no cycle", "the fixed point is not stable, so no unstable orbit surrounds it")
     turn = find_separating_turn(fr, outer, displacement(fr, inner.x))
     return make_orbit(fr, turn, turn.multiplier, "cycle")
 
@@ -101,7 +104,7 @@ def find_separating_turn(fr: Frame, outer: float, inner: float) -> MinimumTurn:
             break
         low = high
     else:
-        return MinimumTurn("no cycle", "every motion outside the fixed point grows: no unstable orbit was found")
+        return MinimumTurn("no cycle", "every motion outside the fixed point grows, and no unstable orbit was found")
     while high - low > LEAST * (abs(high) + abs(fr.slip)):
         middle = 0.5 * (low + high)
         turn = next_minimum(fr, middle, new_work(STEPS_OF_SEARCH))

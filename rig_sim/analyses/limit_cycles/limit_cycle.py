@@ -77,7 +77,7 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     validate(flow)
     fr = frame(flow)
     if fr.u0 != 0.0:
-        return Orbit("driven", "a driven mass has no orbit without the drive: list its events instead")
+        return Orbit("driven", "this analysis does not apply to a driven mass; list its events instead")
     if is_grazing(fr):
         return make_grazing_orbit(fr)
     work = new_work(STEPS_OF_SEARCH)
@@ -122,7 +122,7 @@ def make_grazing_orbit(fr: Frame) -> Orbit:
     period = 2.0 * math.pi / fr.omega0
     return Orbit(
         "grazing",
-        "stick has zero length: friction that does not fall with speed keeps the mass sliding",
+        "the stick has zero length, because friction that does not decrease with speed keeps the mass sliding",
         period=period,
         t_stick=0.0,
         t_slip=period,

@@ -36,7 +36,7 @@ def memory_fixed_point(flow: MemoryFlow) -> FixedPoint:
     import numpy as np
 
     if flow.u0 != 0.0:
-        return FixedPoint("driven", "a driven mass does not come to rest: remove the drive")
+        return FixedPoint("driven", "a driven mass does not come to rest; remove the drive")
     speed = flow.v_belt
     z = -math.log(abs(speed) / flow.v0) if flow.law != BRISTLE else 0.0
     if flow.law == BRISTLE:
@@ -52,7 +52,7 @@ def memory_cycle(flow: MemoryFlow) -> tuple[Orbit, Samples]:
     """Return the periodic orbit reached by a mass that the belt carries from the spring's rest, and its motion."""
     unsampled = Samples([], [], [], [], 0)
     if flow.u0 != 0.0:
-        return Orbit("driven", "a driven mass has no orbit without the drive: list its events instead"), unsampled
+        return Orbit("driven", "this analysis does not apply to a driven mass; list its events instead"), unsampled
     work = new_memory_work(STEPS)
     state = State(modes.STICK, flow.x0, 0.0, 0.0)
     reach = flow.tolerance / RELATIVE_TOLERANCE
@@ -67,9 +67,9 @@ def memory_cycle(flow: MemoryFlow) -> tuple[Orbit, Samples]:
         if kind == modes.COMPLETED:
             rest = memory_fixed_point(flow)
             if rest.stable:
-                advice = "steady sliding is stable: lower spring.k or belt.speed"
+                advice = "steady sliding is stable; reduce spring.k or belt.speed"
                 return Orbit("fixed point", advice, x_rest=rest.x), unsampled
-            return Orbit("pure slip", "the mass oscillates without ever sticking: list its motion with run"), unsampled
+            return Orbit("pure slip", "the mass oscillates without ever sticking; list its motion with run"), unsampled
         phases.append((mode, state))
         if mode != modes.STICK:
             continue

@@ -71,7 +71,7 @@ def test_a_vibrating_jk_box_fails_by_its_parked_drift(capsys):
     [
         (["--parked", 3, "--move", 0], "parked drift", "moved", ""),  # drift was not tried
         (["--port", url("belt.speed=-0.22"), "--move", 0.5], "direction", "", "swap"),
-        (["--port", url("belt.start=100"), "--parked", 0, "--move", 1], "direction", "", "nothing was counted"),
+        (["--port", url("belt.start=100"), "--parked", 0, "--move", 1], "direction", "", "no edge was counted"),
     ],
 )
 def test_a_check_that_fails_says_what_was_seen_and_what_to_do(capsys, arguments, name, seen, do):

@@ -110,7 +110,7 @@ def test_a_unit_that_cannot_be_is_asked_for_and_not_guessed(tmp_path, form):
     own = [("t", "", TIME), ("x", "", 4e3 * X)]
     path = (BARE | FORMATS)[form](tmp_path, own)
     names = {"time": "data.t", "position": "data.x"} if "structure" in form else {}
-    with pytest.raises(InputError, match="the positions have no unit, and in m the mass"):
+    with pytest.raises(InputError, match="the positions have no unit, and in metres the mass"):
         daq.load(path, **names)
     np.testing.assert_allclose(daq.load(path, x_unit="0.25 mm", **names).position, X, atol=1e-8)
 
@@ -155,7 +155,7 @@ def test_a_column_of_forces_suggests_the_spring_and_is_read_as_its_stretch(tmp_p
     path = FORMATS[form](tmp_path, [columns()[0], force])
     with pytest.raises(InputError) as caught:
         daq.load(path)
-    assert f"is in {unit}: a force, not a position" in str(caught.value)
+    assert f"is in {unit}, so it is a force and not a position" in str(caught.value)
     name = f"Fx_{unit}" if "numpy" in form else "Fx"
     assert f"spring_force='{name}', stiffness='168 N/m'" in str(caught.value)
     assert "--stiffness '168 N/m'; else choose" in caught.value.as_line()
@@ -182,7 +182,9 @@ def test_a_friction_coefficient_is_asked_about_and_never_metres(tmp_path, name, 
     """A column COF used to be positions of half a metre."""
     path = programs.text(tmp_path / "t.csv", [("t", "s", TIME), (name, unit, 0.3 + 10 * X)])
     for position in ({}, {"position": 2}):
-        with pytest.raises(InputError, match="not a position; if it is the force of the pulling spring over") as caught:
+        with pytest.raises(
+            InputError, match="not a position; if it is the force of a pulling spring divided by"
+        ) as caught:
             daq.load(path, **position)
     assert "--force-unit weight" in caught.value.as_line()
     run = daq.load(path, spring_force=2, force_unit="weight", mass="5 kg", stiffness=STIFFNESS)

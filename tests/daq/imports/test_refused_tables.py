@@ -43,7 +43,7 @@ TEXTS = [
     ("t,x\n0,1\n1,2\n1,3\n", {}, ["line 4", "does not increase", "1 s after 1 s"]),
     ("t,x\n\n0,1\n# note\n2,2\n1,3\n", {}, ["line 6", "does not increase"]),
     ("t,x\n0,1\n1,2,3\n2,3\n", {}, ["line 3", "3 columns"]),
-    ("t (s),x (m)\n0,1\n1,2\n2,3\n3\n", {}, ["has 1 column where the others have 2"]),
+    ("t (s),x (m)\n0,1\n1,2\n2,3\n3\n", {}, ["has 1 column, but the others have 2"]),
     ("t,x\n0,10,1,25\n0,20,1,50\n", {}, ["line 1", "2 columns", "have 4", "semicolons"]),
     ("t,x\n0,1\n", {}, ["single sample"]),
     ("t,x\n", {}, ["has no numbers"]),
@@ -65,10 +65,10 @@ TEXTS = [
     (
         "t,x,x\n0,1,1\n1,2,2\n",
         {"position": "x"},
-        ["which column is 'x': 'x' (column 2), 'x' (column 3)?; give position=NUMBER"],
+        ["which column is 'x': 'x' (column 2), 'x' (column 3)?; choose one with position=NUMBER"],
     ),
     ("t,x (m),x (mm)\n0,1,1\n1,2,2\n", {"position": "x"}, ["which column is 'x'"]),
-    ("ms,x,y\ns,m,m\n0,1,1\n1,2,2\n", {"position": "x"}, ["'ms' has the name of a unit, and its unit is stated as s"]),
+    ("ms,x,y\ns,m,m\n0,1,1\n1,2,2\n", {"position": "x"}, ["'ms' is named like a unit, but its unit is stated as s"]),
     # Units.
     ("t,x (px)\n0,1\n1,2\n", {}, ["'px'", "--x-unit", "0.25 mm"]),
     (TWO, {"x_unit": "kg"}, ["--x-unit", "'kg'"]),
@@ -83,11 +83,11 @@ TEXTS = [
         {"position": "X", "x_unit": "1 mm"},
         ["frame numbers but no times"],
     ),
-    ("clock,x\n23:59:59.500,0\n23:59:59.750,1\n", {"time": "clock"}, ["times of day such as 23:59:59.500; give clock"]),
+    ("clock,x\n23:59:59.500,0\n23:59:59.750,1\n", {"time": "clock"}, ["times of day such as 23:59:59.500; pass clock"]),
     (
         "t,x\n25-Mar-2026 10:00:01,1\n27-Mar-2026 10:00:02,2\n",
         {"clock": True},
-        ["line 3", "not a time of day, with a date such as 2026-03-27"],
+        ["line 3", "with or without a date such as 2026-03-27"],
     ),
     *(
         ("x\n1\n2\n3\n", {"frame_rate": rate}, ["--frame-rate"])
@@ -95,33 +95,33 @@ TEXTS = [
     ),
     (TWO, {"start": "yesterday"}, ["--start", "zone"]),
     # Options.
-    (TWO, {"xunit": "cm"}, ["no option 'xunit' of a table; did you mean 'x_unit'?"]),
+    (TWO, {"xunit": "cm"}, ["'xunit' is not an option for tables; did you mean 'x_unit'?"]),
     (TWO, {"mass": "heavy"}, ["'heavy' is not a valid mass; write it like '300 g'"]),
-    (TWO, {"spring_force": "F", "position": "x"}, ["excludes --position"]),
-    ("t (s),F (N)\n0,1\n1,2\n", {"spring_force": "F"}, ["spring_force without the spring's stiffness"]),
-    (TWO, {"force_unit": "N"}, ["without --spring-force"]),
-    (TWO, {"clock": True, "t_unit": "s"}, ["exclude each other"]),
+    (TWO, {"spring_force": "F", "position": "x"}, ["cannot be combined with --position"]),
+    ("t (s),F (N)\n0,1\n1,2\n", {"spring_force": "F"}, ["spring_force requires the stiffness of the spring"]),
+    (TWO, {"force_unit": "N"}, ["requires --spring-force"]),
+    (TWO, {"clock": True, "t_unit": "s"}, ["cannot be combined"]),
     (TWO, {"preamble": -1}, ["--preamble"]),
-    (TWO, {"belt_unit": "mm"}, ["belt_unit without belt_column"]),
+    (TWO, {"belt_unit": "mm"}, ["belt_unit requires belt_column"]),
     # What a count is.
     (
         COUNT,
         {"counts_per_rev": 100},
-        ["counts_per_rev without circumference; give circumference too, or metres_per_count"],
+        ["counts_per_rev requires circumference; add circumference, or use metres_per_count"],
     ),
     (COUNT, {"circumference": "1 mm"}, ["circumference without counts_per_rev"]),
     (
         COUNT,
         {"counts_per_rev": 0, "circumference": "1 mm"},
-        ["counts_per_rev: is 0; give a positive whole number"],
+        ["counts_per_rev: is 0; use a positive whole number"],
     ),
     (COUNT, {"counts_per_rev": 9, "circumference": 0}, ["metres_per_count is 0; it must be not zero"]),
-    (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["give one or the other"]),
-    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit with metres per count"]),
+    (COUNT, {"metres_per_count": 1e-6, "counts_per_rev": 9, "circumference": 1}, ["use one or the other"]),
+    (COUNT, {"metres_per_count": 1e-6, "x_unit": "mm"}, ["x_unit cannot be combined with metres per count"]),
     (
         COUNT,
         {"metres_per_count": 1e-6},
-        ["is a length, and metres per count are given; omit metres_per_count"],
+        ["is a length, but metres per count are given; omit metres_per_count"],
     ),
 ]
 
@@ -248,9 +248,9 @@ FILES = [
     (device, {}, "is a device, not a file"),  # filled the memory
     (folder, {}, "is a folder"),
     (lambda path: path / "none.csv", {}, "no such file; check the path"),
-    (sparse, {}, "a table has at most 268 MB"),
-    (content("a.csv", b"\n" * (source.MOST_LINES + 1)), {}, "8,388,609 lines; a table has at most 8,388,608"),
-    (content("a.csv", (b"1," * 4999 + b"1\n") * 3), {}, "5,000 columns; a table has at most 4,096"),
+    (sparse, {}, "a table may have at most 268 MB"),
+    (content("a.csv", b"\n" * (source.MOST_LINES + 1)), {}, "8,388,609 lines, but a table may have at most 8,388,608"),
+    (content("a.csv", (b"1," * 4999 + b"1\n") * 3), {}, "5,000 columns, but a table may have at most 4,096"),
     (content("a.csv", HDF5 + bytes(64)), {}, "HDF5"),
     (stored_elsewhere, {}, "reads its data from another file"),  # any file of the reader's became positions
     (external_link, {}, "is a link to another file"),
@@ -283,7 +283,11 @@ FILES = [
         {"position": "x"},
         "t.xlsx, line 12, column 2: column 'x (mm)' contains 'overload'",
     ),
-    (lambda path: workbook(path, second_sheet), {}, "which sheet is the table? 'Messung 1', 'second'; give sheet"),
+    (
+        lambda path: workbook(path, second_sheet),
+        {},
+        "which sheet is the table? 'Messung 1', 'second'; choose one with sheet",
+    ),
     (
         lambda path: workbook(path, second_sheet),
         {"sheet": "third"},
@@ -293,14 +297,14 @@ FILES = [
     (text(FORCE), {}, "--stiffness '168 N/m'; else choose"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "which column is the position?"),
     (text([*FORCE, ("COF", "", X), ("v", "mm/s", X)]), {}, "spring_force='F'"),
-    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s: a speed, not a position"),
+    (text([*FORCE, ("v", "mm/s", X)]), {"position": "v"}, "is in mm/s, so it is a speed and not a position"),
     (
         text(LENGTHS),
         {"belt_column": "belt"},
-        "has no unit: is it the position or the speed of the belt?; give belt_unit",
+        "has no unit: is it the position or the speed of the belt?; use belt_unit",
     ),
-    (text(LENGTHS), {"belt_column": "belt", "belt_unit": "kg"}, "'kg' is a unit of neither"),
-    (text(LENGTHS), {"belt_column": "z"}, "'N' is a unit of neither"),
+    (text(LENGTHS), {"belt_column": "belt", "belt_unit": "kg"}, "'kg' is not a unit of length or speed"),
+    (text(LENGTHS), {"belt_column": "z"}, "'N' is not a unit of length or speed"),
 ]
 
 
@@ -343,4 +347,4 @@ def test_a_line_longer_than_a_table_has_is_refused_unread(tmp_path, monkeypatch)
     monkeypatch.setattr(layout, "split_cells", lambda *_: pytest.fail("a line was split"))
     said = refusal(path, {})
     assert f"{path}, line 3: the line has {2 * table.LONGEST_LINE} characters" in said
-    assert "delete that line; if the table begins below it, give --preamble 3" in said
+    assert "delete that line; if the table begins below it, use --preamble 3" in said

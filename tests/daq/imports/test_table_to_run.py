@@ -319,7 +319,7 @@ def test_a_rest_position_far_from_the_travel_is_asked_about(csv, app, capsys, fl
     assert application.run(app, line) == 0
     (asked,) = json.loads(capsys.readouterr().out)["warnings"]
     assert "x0 (-5 m) is" in asked
-    assert "are its sign and its unit correct?" in asked
+    assert "Are its sign and its unit correct?" in asked
 
 
 def test_the_start_is_the_files_date_unless_given(csv):
@@ -353,7 +353,7 @@ def test_bad_lines_are_counted_and_left_out_on_request(csv, app, capsys):
 @pytest.mark.parametrize(
     ("t_size", "x_size", "question", "answer"),
     [
-        (1, 1e3, "--x-unit mm?", {"x_unit": "mm"}),
+        (1, 1e3, "--x-unit mm", {"x_unit": "mm"}),
         (1, 1e2, "--x-unit cm?", {"x_unit": "cm"}),
         (1e3, 1, "--t-unit ms?", {"t_unit": "ms"}),
         (1e6, 1, "--t-unit us?", {"t_unit": "us"}),

@@ -70,7 +70,7 @@ def test_a_lost_port_and_a_silent_board_are_called_out(
     monkeypatch.setattr(publisher.time, "monotonic", lambda: clock)
     assert look(run)["trouble"] == "no sample for 5 s"
     lost = look(run, (journal.LOST, 6, b"unplugged"))
-    assert lost["trouble"] == "the port was lost (unplugged): the recorder is waiting for it"
+    assert lost["trouble"] == "the port was lost (unplugged), and the recorder is waiting for it"
     again = look(run, (journal.REOPENED, 7, b"/dev/ttyACM0"), (journal.RECEIVED, 8, lines(1000, 1000)))
     assert (again["trouble"], run.ended) == ("", "")
 
@@ -83,7 +83,7 @@ def test_a_recorder_that_is_gone_ends_the_view(writer: journal.Writer, monkeypat
     clock = run._last_new + 4.0
     monkeypatch.setattr(publisher.time, "monotonic", lambda: clock)
     run.look()
-    assert run.ended == "The recording process is gone. Save the data with daq recover run.h5.part"
+    assert run.ended == "The recording process has ended unexpectedly. Save the data with daq recover run.h5.part"
 
 
 def test_an_hour_takes_no_more_memory_than_some_minutes_and_can_be_looked_at_again(

@@ -153,17 +153,17 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
     ("declared", "said"),
     [
         ("t_us", "which columns are the counts"),
-        ("up,down", "a time column is required"),
+        ("up,down", "a column of times is required"),
         ("t_us,t_ms,count", "which column is the time"),
         ("t_us,up", "up and down"),
         ("t_us,up,down,count", "counts"),
         ("t_us,cuont", "did you mean 'count'"),
         ("t_us,count,count", "twice"),
-        ("t_us,up:16,down", "differ in width"),
-        ("t_us,count:12", "not a width"),
-        ("t_us,count,a", "only one of two levels"),
+        ("t_us,up:16,down", "different widths"),
+        ("t_us,count:12", "not a valid counter width"),
+        ("t_us,count,a", "only one of the two logic levels"),
         ("t_us,x_in", "unknown column 'x_in'"),
-        ("t_us,x_mm:12", "'x_mm:12' is not a number of decimals; write x_mm:2 for two, at most 9"),
+        ("t_us,x_mm:12", "'x_mm:12' is not a valid number of decimals; write x_mm:2 for two decimals; at most 9"),
         ("t_us,x_mm,F_N", r"which columns are the counts\?"),
         ("t_us,count,x_mm", "such as x_mm or F_N"),
     ],
@@ -330,12 +330,16 @@ COUNTS = "t_us,count"
     ("columns", "line", "said"),
     [
         # Columns or labels are needed.
-        (None, lambda k: b"t=%d,foo=%d\n" % (k, k), "labels t, foo: none is a position; label .* pos, position, count"),
-        (None, lambda k: b"x=%d,pos=%d\n" % (k, k), "labels x, pos: none is a time; .* micros"),
-        (None, lambda k: b"t=%d,pos=1,count=2\n" % k, "more than one is a position; .* --columns"),
-        (None, lambda k: b"%d,1\n" % k, "no columns are declared; one is .* --columns t_us,up,down"),
+        (
+            None,
+            lambda k: b"t=%d,foo=%d\n" % (k, k),
+            "labels t, foo, but none of them is a position; label .* pos, position, count",
+        ),
+        (None, lambda k: b"x=%d,pos=%d\n" % (k, k), "labels x, pos, but none of them is a time; .* micros"),
+        (None, lambda k: b"t=%d,pos=1,count=2\n" % k, "more than one of them is a position; .* --columns"),
+        (None, lambda k: b"%d,1\n" % k, "no columns are declared; .* --columns t_us,up,down"),
         (None, lambda k: b"t=%d x=%d.04 y=3\n" % (2000 * k, k), "the position has no unit; .* t_us,x_mm"),
-        (None, lambda k: b"(%d, %d.04)\n" % (2000 * k, k), "no columns are declared; one is .* --columns t_us,x_mm"),
+        (None, lambda k: b"(%d, %d.04)\n" % (2000 * k, k), "no columns are declared; .* --columns t_us,x_mm"),
         # Something else is printed.
         (COUNTS, lambda k: b"Hello\n", "one is 'Hello'"),
         (COUNTS, lambda k: b"1,2,3,4\n", "do not match the columns t_us,count"),
@@ -418,9 +422,9 @@ def test_an_endless_line_is_one_damaged_one(form):
     ("columns", "line", "said"),
     [
         # Exact micros() in whole milliseconds used to be advised to print micros().
-        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k), "exact if a timer takes the samples"),
-        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 1000 * (k % 20 == 7)), "with errors up to 1 ms: print"),
-        ("ms,count", lambda k: b"%d,5\n" % (2.3 * k), "with errors up to 1 ms: print"),
+        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k), "exact if a timer triggers the samples"),
+        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 1000 * (k % 20 == 7)), "with errors up to 1 ms, so print"),
+        ("ms,count", lambda k: b"%d,5\n" % (2.3 * k), "with errors up to 1 ms, so print"),
         ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 4 * (k % 20 == 7)), None),
     ],
 )

@@ -70,7 +70,7 @@ def test_integers_are_counts(tmp_path):
     np.testing.assert_array_equal(run.count, count)
     np.testing.assert_allclose(run.position, count * 1e-6, rtol=1e-15)
     found = daq.record(card(count.astype(np.int64) + 2**40), tmp_path / "bare.h5", rate_hz=RATE)
-    assert found.warnings == ("metres per count unknown: positions are in counts",)
+    assert found.warnings == ("the metres per count are not known, so positions are in counts",)
     bare = daq.load(tmp_path / "bare.h5")
     np.testing.assert_array_equal(bare.count, count.astype(np.int64) + 2**40)
     assert bare.unit == "count"
@@ -241,13 +241,13 @@ def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tm
         ((TIME[650:750], X[700:800]), "time does not increase at sample 0 in block 8: 0.65 s after 0.699 s"),
         ((TIME[700:800], np.where(TIME[700:800] == 0.75, np.inf, X[700:800])), "value of sample 50 in block 8 is inf"),
         ((TIME[700:800], np.arange(100)), "block 8 has counts (integers) after positions (floats)"),
-        (TIME[700:800], "block 8 is a ndarray of shape (100,), not two arrays"),
-        ((TIME[700:800], ["a"] * 100), "daq.record, block 8: position holds <U1 values, not numbers"),
-        (None, "block 8 is a NoneType, not two arrays"),
+        (TIME[700:800], "block 8 is a ndarray of shape (100,) instead of two arrays"),
+        ((TIME[700:800], ["a"] * 100), "daq.record, block 8: position contains <U1 values instead of numbers"),
+        (None, "block 8 is a NoneType instead of two arrays"),
         ((TIME[700:800], MASKED), "daq.record, block 8: position is masked at sample 51 and 48 more"),
-        ((TIME[700:800], X[700:800].astype(complex)), "block 8: position holds complex128 values"),
-        ((TIME[700:800], X[700:800] > 0), "block 8: position holds bool values"),
-        ((TIME[700:800].astype("M8[s]"), X[700:800]), "block 8: time holds dates or durations"),
+        ((TIME[700:800], X[700:800].astype(complex)), "block 8: position contains complex128 values"),
+        ((TIME[700:800], X[700:800] > 0), "block 8: position contains bool values"),
+        ((TIME[700:800].astype("M8[s]"), X[700:800]), "block 8: time contains dates or durations instead of numbers"),
         ((TIME[700:800] * np.where(TIME[700:800] > 0.75, 1e12, 1), X[700:800]), "its times reach"),
     ],
 )
@@ -265,13 +265,13 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
         (
             lambda: [(1e3 * TIME, X)],
             {},
-            "the times step at 1 Hz, and rate_hz is 1000; give rate_hz=1, or the times in s",
+            "the times have a rate of 1 Hz, but rate_hz is 1000; use rate_hz=1, or times in s",
         ),
-        (lambda: card(t=TIME * 2, size=5), {}, "the times step at 500 Hz, and rate_hz is 1000"),
-        (lambda: iter([]), {}, "the source gave no samples"),
-        (lambda: 5, {}, "the source is a int; give a port, a URL, or an iterable of blocks (t, x)"),
-        (lambda: {"t": TIME, "x": X}, {}, "the source is a dict"),
-        (card, {"rate_hz": None}, "rate_hz is None; give the samples per second"),
+        (lambda: card(t=TIME * 2, size=5), {}, "the times have a rate of 500 Hz, but rate_hz is 1000"),
+        (lambda: iter([]), {}, "the source yielded no samples"),
+        (lambda: 5, {}, "the source must not be a int; pass a port, a URL, or an iterable of blocks (t, x)"),
+        (lambda: {"t": TIME, "x": X}, {}, "the source must not be a dict"),
+        (card, {"rate_hz": None}, "rate_hz is None; pass the samples per second"),
         (card, {"rate_hz": 0}, "rate_hz is 0"),
         (card, {"mass": "3 m"}, "mass: 'm' is not a unit of mass"),
         (card, {"seconds": -1}, "the duration is -1 s"),
@@ -283,18 +283,18 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
         (card, {"stop": True}, "stop is a bool; give a threading.Event"),
         (card, {"rig": 5}, "rig is a int; give the path of a rig.toml"),
         (card, {"rate_hz": "1 m"}, "rate_hz: 'm' is not a unit of rate"),
-        (card, {"rate_hz": True}, "rate_hz is True; give a number in Hz"),
+        (card, {"rate_hz": True}, "rate_hz is True; pass a number in Hz"),
         (card, {"rate_hz": float("nan")}, "rate_hz is nan"),
         (card, {"rate_hz": float("inf")}, "rate_hz is inf"),
-        (card, {"rate_hz": "1 kHz +- 1 Hz"}, "rate_hz: '1 kHz +- 1 Hz' has an error, of which no use is made here"),
-        (card, {"rate_hz": (1000, 1)}, "rate_hz: (1000, 1) has an error, of which no use is made here"),
-        (card, {"seconds": "2 s +- 1 s"}, "seconds: '2 s +- 1 s' has an error, of which no use is made here"),
+        (card, {"rate_hz": "1 kHz +- 1 Hz"}, "rate_hz: '1 kHz +- 1 Hz' has an error, which is not accepted here"),
+        (card, {"rate_hz": (1000, 1)}, "rate_hz: (1000, 1) has an error, which is not accepted here"),
+        (card, {"seconds": "2 s +- 1 s"}, "seconds: '2 s +- 1 s' has an error, which is not accepted here"),
         (card, {"seconds": "2 kg"}, "seconds: 'kg' is not a unit of time"),
         (card, {"seconds": float("nan")}, "the duration is nan s"),
-        (lambda: "rig://rig", {"rate_hz": float("inf")}, "a port takes whole Hz"),
+        (lambda: "rig://rig", {"rate_hz": float("inf")}, "a port requires whole Hz"),
         (lambda: "rig://rig", {"baud": "fast"}, "baud is a str; give a whole number"),
-        (lambda: "rig://rig", {"rate_hz": 0.5}, "a port takes whole Hz"),
-        (lambda: "nowhere://rig", {}, "nowhere:// is not a kind of port"),
+        (lambda: "rig://rig", {"rate_hz": 0.5}, "a port requires whole Hz"),
+        (lambda: "nowhere://rig", {}, "nowhere:// is not a supported kind of port"),
     ],
 )
 def test_what_cannot_be_is_refused_and_leaves_nothing(tmp_path, source, how, words):

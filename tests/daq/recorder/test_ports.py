@@ -40,7 +40,7 @@ def test_a_url_writes_to_no_file(tmp_path):
     other = tmp_path / "thesis.txt"
     other.write_text("three years of work")
     for url in (f"spy:///dev/ttyNONE7?file={other}", f"SPY://loop://?file={other}", f"alt://x?class={other}"):
-        with pytest.raises(InputError, match="is not a kind of port"):  # spy:// emptied the file
+        with pytest.raises(InputError, match="is not a supported kind of port"):  # spy:// emptied the file
             ports.open_port(url)
     assert other.read_text() == "three years of work"
 
@@ -49,7 +49,7 @@ def test_a_url_writes_to_no_file(tmp_path):
     ("url", "words"),
     [
         ("morse://7", "rig://SCENE"),
-        ("loop://?logging=x", "cannot open such a port"),  # a KeyError was a traceback
+        ("loop://?logging=x", "this kind of port cannot be opened"),  # a KeyError was a traceback
         ("rig://rig?set=friction.lew%3D3", "friction"),
     ],
 )
@@ -127,7 +127,7 @@ FAST = replace(RIG, metres_per_count=Measured(7.67e-9))
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        ((1000, 1, 115_200), r"22000 bytes/s; 115200 baud can transfer 11520; give rate_hz=523 or less"),
+        ((1000, 1, 115_200), r"22000 bytes/s; 115200 baud can transfer 11520; use rate_hz=523 or less"),
         ((6000, 8), "5000"),  # more than the board samples
         ((1000, 8, None, replace(BOARD, max_edge_rate_hz=0), FAST), "roll over"),
     ],

@@ -153,7 +153,7 @@ def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
     path = tmp_path / "run.h5"
     found = record(RecordRequest(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
     run = store.load(path)
-    assert any("metres per belt count unknown" in warning for warning in found.warnings)
+    assert any("metres per belt count are not known" in warning for warning in found.warnings)
     assert run.raw.belt_count.any()
     assert run.belt_count is None
     assert run.belt_velocity is None

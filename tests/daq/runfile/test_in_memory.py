@@ -113,22 +113,26 @@ def test_a_run_is_drawn_into_axes_that_are_given():
 @pytest.mark.parametrize(
     ("columns", "changes", "words"),
     [
-        ((TIME, X[:-1]), {}, "time has 1500 values and position 1499; give one each"),
-        ((TIME, np.c_[X, X]), {}, "position has shape (1500, 2); give one dimension, as in position[:, 0]"),
-        ((TIME[::-1], X), {}, "time does not increase at sample 1; give times in s"),
+        ((TIME, X[:-1]), {}, "time has 1500 values, but position has 1499; pass one value"),
+        ((TIME, np.c_[X, X]), {}, "position has shape (1500, 2); pass one dimension, as in position[:, 0]"),
+        ((TIME[::-1], X), {}, "time does not increase at sample 1; pass increasing times in s"),
         ((np.zeros(1500), X), {}, "time does not increase at sample 1"),
         ((TIME, np.where(TIME == 1, np.nan, X)), {}, "position is nan at sample 500; remove those samples: keep ="),
-        ((TIME, ["a"] * 1500), {}, "position holds <U1 values, not numbers"),
-        ((TIME, [None, "x", *X[2:]]), {}, "position holds None, not numbers"),
-        ((TIME.astype("M8[s]"), X), {}, "time holds dates or durations; give seconds: (t - t[0])"),
-        (([[0], [1, 2]], X), {}, "time is no column of numbers"),
-        (([0.0], [1.0]), {}, "time and position have 1 sample(s); give two or more"),
+        ((TIME, ["a"] * 1500), {}, "position contains <U1 values instead of numbers"),
+        ((TIME, [None, "x", *X[2:]]), {}, "position contains None instead of numbers"),
+        (
+            (TIME.astype("M8[s]"), X),
+            {},
+            "time contains dates or durations instead of numbers; convert them to seconds: (t - t[0])",
+        ),
+        (([[0], [1, 2]], X), {}, "time is not an array of numbers"),
+        (([0.0], [1.0]), {}, "time and position have 1 sample(s); pass two or more"),
         ((TIME, X), {"mass": "500 gg"}, "mass: 'gg' is not a unit of mass (in '500 gg'); did you mean 'g'?"),
         ((TIME, X), {"mass": -1}, "mass: mass is -1; it must be positive"),
-        ((TIME, X), {"mass": [1, 2, 3]}, "give a number in kg, (value, sd), or text such as '300 g'"),
+        ((TIME, X), {"mass": [1, 2, 3]}, "pass a number in kg, (value, sd), or text such as '300 g'"),
         ((TIME, X), {"x0": "5 cm/s"}, "x0: 'cm/s' is not a unit of length"),
-        ((TIME, X), {"metres_per_count": 1e-6}, "not a count, but metres_per_count is given; give whole counts"),
-        ((TIME, X), {"belt_position": X[:10]}, "belt_position has 10 values and time 1500"),
+        ((TIME, X), {"metres_per_count": 1e-6}, "not a count, but metres_per_count is given; pass whole counts"),
+        ((TIME, X), {"belt_position": X[:10]}, "belt_position has 10 values, but time has 1500"),
     ],
 )
 def test_a_wrong_array_or_quantity_is_named_with_what_to_do(columns, changes, words):
@@ -140,8 +144,8 @@ def test_a_wrong_array_or_quantity_is_named_with_what_to_do(columns, changes, wo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((TIME,), "a ndarray without a position; give a run, a file or two arrays: processing.smooth(time, position)"),
-        ((run(), X), "a position in addition to a run; give the run alone"),
+        ((TIME,), "a ndarray without a position; pass a run, a file or two arrays: processing.smooth(time, position)"),
+        ((run(), X), "a position was passed in addition to a run; pass only the run"),
         (("no.h5",), "no.h5: no such file"),
     ],
 )

@@ -93,7 +93,7 @@ def test_received_bytes_of_a_damaged_record_are_kept_for_their_frames(written):
         (b"t,x\n0,1\n", "not a journal"),
         (b"", "no record"),
         (journal.MAGIC, "no record"),
-        (journal.MAGIC + b"H", "1 byte|header is cut short"),
+        (journal.MAGIC + b"H", "1 byte|because it is cut short"),
     ],
 )
 def test_what_is_no_journal_is_refused(tmp_path, content, said):

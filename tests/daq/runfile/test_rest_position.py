@@ -12,19 +12,19 @@ LOW, HIGH = 0.02, 0.06
 def test_a_rest_position_far_outside_the_travel_is_asked_about_at_any_scale(scale: float) -> None:
     far = Measured(scale * (LOW - 1.01 * FAR * (HIGH - LOW)))
     near = Measured(scale * (LOW - 0.99 * FAR * (HIGH - LOW)))
-    assert "are its sign and its unit correct?" in question_rest_position(far, scale * LOW, scale * HIGH)
+    assert "Are its sign and its unit correct?" in question_rest_position(far, scale * LOW, scale * HIGH)
     assert question_rest_position(near, scale * LOW, scale * HIGH) == ""
 
 
 def test_the_question_names_the_travel_and_the_sign() -> None:
     asked = question_rest_position(Measured(-0.18), LOW, HIGH)
     assert asked.startswith(
-        "x0 (-180 mm) is 200 mm outside the travel of 20 to 60 mm; are its sign and its unit correct?"
+        "x0 (-180 mm) is 200 mm outside the travel of 20 to 60 mm. Are its sign and its unit correct?"
     )
     assert "8.3 % of Fs" in asked  # travel over twice the stretch at the break-away, 40 mm / (2 * 240 mm)
     asked = question_rest_position(Measured(-0.05), LOW, HIGH)
     assert asked.startswith(
-        "x0 (-50 mm) is 70 mm outside the travel of 20 to 60 mm, and 50 mm lies inside it; is its sign"
+        "x0 (-50 mm) is 70 mm outside the travel of 20 to 60 mm, and 50 mm lies inside it. Is its sign"
     )
 
 

@@ -419,14 +419,14 @@ LOG = "instrument/encoder/value_log"
     ("name", "value", "words"),
     [
         (f"{LOG}/time", None, "has no /entry/instrument/encoder/value_log/time"),
-        (f"{LOG}/time", ["a", "b"], "not one column of float64"),
+        (f"{LOG}/time", ["a", "b"], "instead of one column of float64"),
         (f"{LOG}/time", np.zeros(501), "time does not increase at sample 1"),
         (f"{LOG}/value", np.zeros(3), "has 3 values instead of 501"),
         (f"{LOG}/value", np.full(501, np.inf), "not finite at sample 0"),
         (f"{LOG}/value", np.full(501, 1e300), "too large at sample 0"),  # an OverflowError in whoever squares it
         (f"{LOG}/time", np.arange(501) * 1e300, "its times reach"),
         (f"{LOG}/time", np.arange(501) * 1e-310, "are too many"),  # a ZeroDivisionError
-        (f"{LOG}/raw_value", np.zeros(501), "not one column of int64"),
+        (f"{LOG}/raw_value", np.zeros(501), "instead of one column of int64"),
         ("raw/count_up", np.zeros((501, 2), np.uint16), "2-dimensional"),
         ("raw/levels", np.zeros(5, np.uint8), "has 5 values"),
         ("sample/mass", "heavy", "is not a number"),

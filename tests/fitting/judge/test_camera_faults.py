@@ -81,7 +81,7 @@ def test_a_step_of_the_position_is_no_part_of_the_fit(faulty):
 def test_a_track_with_frames_lost_or_doubled_among_even_times_is_refused(faulty, kind, law):
     # A law was named with k/m off by 12 %: the times are wrong, and nothing said so.  In the short sticks of law 4
     # the lost frames were not found.
-    with pytest.raises(DataError, match=f"frames are {kind} although the times are even.*time='NAME'"):
+    with pytest.raises(DataError, match=f"frames are {kind} although the time stamps are evenly spaced.*time='NAME'"):
         rank(faulty(kind, law))
 
 

@@ -95,8 +95,8 @@ def test_a_rest_position_that_keeps_every_law_away_is_named_with_what_holds(rank
     finding = finding_of(ranking, "x0")
     assert finding.value == pytest.approx(0.0, abs=1e-3)
     assert finding.expected == rest
-    assert finding.text.endswith("; no law describes the record with the stated one")
-    assert "It contradicts the stated x0" in ranking.verdict
+    assert finding.text.endswith(". No law describes the record with the stated value")
+    assert "This contradicts the stated x0" in ranking.verdict
 
 
 def test_a_contradicted_x0_is_named_as_it_was_stated(smoothed):

@@ -150,7 +150,7 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(belt_rig):
     assert found.p_value > 1e-3
     assert found.misfit < 1.05
     assert len(found.left_out) == 2
-    assert any("left out of the goodness-of-fit test" in text for text in ranking.warnings)
+    assert any("excluded from the goodness-of-fit test" in text for text in ranking.warnings)
 
 
 @pytest.mark.parametrize("every", [3, 12])

@@ -90,7 +90,7 @@ def test_constant_friction_is_told_by_the_drags_of_all_runs(runs_of, law):
 
 
 def test_runs_that_stick_and_runs_that_graze_are_not_one_contact(runs_of):
-    with pytest.raises(DataError, match="in other runs there is"):
+    with pytest.raises(DataError, match="but other runs have"):
         rank([runs_of(5, 2)[1], runs_of(1, 3, kick=0.0)[1]])
 
 
@@ -157,13 +157,13 @@ def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
     (row,) = [row for row in listing.list_runs([files[0].parent]) if row.runs]
     assert (row.file, row.runs, row.problem) == (joint_file, 3, None)
     assert row.verdict.startswith("law 5 ")
-    with pytest.raises(InputError, match="joint fit, not of a run"):
+    with pytest.raises(InputError, match="contains a joint fit, not a run"):
         store.load(joint_file)
     copy = Path(shutil.copy(files[0], tmp_path))
     answer = command.fit(copy, joint_file, each=True, laws="5", no_report=True)  # a pattern named both
     assert [run["file"] for run in answer.data["runs"]] == [copy]
-    assert f"{joint_file} is the file of a joint fit, left out" in capsys.readouterr().err
-    with pytest.raises(InputError, match="no run among the files"):
+    assert f"{joint_file} contains a joint fit and is skipped" in capsys.readouterr().err
+    with pytest.raises(InputError, match="all files contain joint fits, not runs"):
         command.fit(joint_file, each=True)
 
 
@@ -179,7 +179,7 @@ def test_a_foreign_file_is_refused_before_a_joint_fit_and_replaced_by_force(file
     else:
         joint.write(place, [named[0], named[2]], lambda entry: None)
     before = place.read_bytes()
-    with pytest.raises(InputError, match="other runs" if content == "joint fit" else "not a joint fit"):
+    with pytest.raises(InputError, match="other runs" if content == "joint fit" else "not the file of a joint fit"):
         command.fit(*copies[:2], laws="5", no_report=True)
     assert place.read_bytes() == before
     joint.write(place, named[:2], lambda entry: None, force=True)
@@ -190,7 +190,7 @@ def test_no_joint_fit_replaces_one_of_its_runs(files, tmp_path):
     first, other = tmp_path / "a.h5", tmp_path / "a+1.fit.h5"
     shutil.copy(files[0], first)
     shutil.copy(files[1], other)
-    with pytest.raises(InputError, match="its own source"):
+    with pytest.raises(InputError, match="is also an input"):
         command.fit(first, other, laws="5", no_report=True, force=True)
 
 
@@ -260,7 +260,7 @@ def test_runs_of_two_contacts_are_not_one_though_a_curve_describes_both(belt_rig
         runs.append(Recording.from_arrays(time, made))
     ranking = rank(runs, mass=0.3)
     assert [finding.code for finding in ranking.findings] == ["not-one-contact"]
-    assert ranking.verdict.startswith("these runs are not one contact: law 5 describes each of them alone")
+    assert ranking.verdict.startswith("these runs do not share one contact: law 5 describes each run separately")
     assert not ranking.laws_in_set
     assert ranking.adequacy.verdict != "adequate"
     assert all(row.weight is None and not row.in_set for row in ranking.rows)

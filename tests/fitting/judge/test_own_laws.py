@@ -173,7 +173,7 @@ def test_the_slope_of_law_3_is_fixed_in_newtons(smoothed):
 def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyperbolic):
     law = fitting.Law("two", "a*b/(1 + s/v_s)")
     ranking = rank(hyperbolic, laws=(5, law))
-    assert any("a and b enter only together" in text for text in ranking.warnings)
+    assert any("friction depends only on a combination of a and b" in text for text in ranking.warnings)
     (found,) = (row["parameters"] for row in ranking.as_json()["ranking"] if row["law"] == "two")
     assert found["a"]["stderr"] is found["b"]["stderr"] is None
     assert found["v_s"]["stderr"] > 0
@@ -268,7 +268,7 @@ def test_runs_are_fitted_together_with_a_formula(smoothed):
     assert abs(row.parameters["v_s"].value - 1 / 9.618) < 4 * row.parameters["v_s"].stderr
     document = application.plain(ranking.as_json())
     assert "mine" in document["runs"][0]["rms_by_law"]
-    with pytest.raises(InputError, match="one belt speed for several runs"):
+    with pytest.raises(InputError, match="a joint fit does not accept one belt speed for all runs"):
         rank(runs, laws=(5,), fix={"v_dr": 0.2})
 
 

@@ -107,7 +107,7 @@ def test_draws_repeat_by_their_seed_and_have_the_error_of_the_metres_per_count(r
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("gama", "did you mean 'gamma'"), ("Fs/k", "follows from other parameters; take one of k/m")],
+    [("gama", "did you mean 'gamma'"), ("Fs/k", "is computed from other parameters; choose one of k/m")],
 )
 def test_what_has_no_profile_is_refused(ranking, name, words):
     with pytest.raises(InputError, match=words):

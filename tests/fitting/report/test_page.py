@@ -99,7 +99,7 @@ def test_the_first_pictures_are_the_friction_curve_and_one_cycle(page, ranked):
     described = re.findall(r'<svg[^>]*aria-label="([^"]+)"', page)
     assert len(described) == page.count("<svg"), "a picture without a description"
     name = ranked(law=5).best.name
-    assert described[0] == f"Friction against slip speed: measured without a law, with its band, and {name}."
+    assert described[0] == f"Friction against slip speed: model-free estimate with its band, and {name}."
     assert described[1] == f"Position and velocity of one cycle: as measured and {name}, fitted."
 
 
@@ -160,7 +160,7 @@ def test_where_no_law_describes_the_record_no_set_weight_or_interval_is_shown(ra
     )
     text = report.render(rejected)
     assert "! no law describes the record" in text
-    assert f"<h2>The closest: {ranking.best.called}</h2>" in text
+    assert f"<h2>Closest law: {ranking.best.called}</h2>" in text
     shown = text[text.index("<body>") : text.index("<summary>Method")]
     for word in (">weight", "Δ log error", "95 % interval", "std. error", "compatible laws"):
         assert word not in shown, word

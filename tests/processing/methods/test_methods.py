@@ -83,7 +83,7 @@ def test_a_lone_sample_between_gaps_has_an_unknown_velocity(method, imported):
         ("position", 123, np.inf, "position is inf at sample 123"),
         ("time", 77, 0.076, "time repeats at sample 77"),
         ("time", 77, 0.074, "time decreases at sample 77"),
-        ("time", slice(4, None), None, "has 4 samples; smoothing needs 5"),
+        ("time", slice(4, None), None, "has 4 samples, but smoothing needs 5"),
     ],
 )
 def test_bad_samples_are_refused_by_their_index(method, imported, field, sample, value, message):

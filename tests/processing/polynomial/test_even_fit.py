@@ -68,13 +68,13 @@ def test_the_longest_window_and_highest_order_agree_with_50_digits():
 
 @pytest.mark.parametrize("window", [0, 2, 40, -3])
 def test_an_even_window_is_refused(window):
-    with pytest.raises(ValueError, match=f"window is {window}; need an odd number above order 2"):
+    with pytest.raises(ValueError, match=f"odd number above the order .2., not {window}"):
         coefficients(window, 2)
 
 
 @pytest.mark.parametrize("order", [-1, 5, 9])
 def test_an_order_that_the_window_cannot_carry_is_refused(order):
-    with pytest.raises(ValueError, match=f"order is {order}; need 0 to 4"):
+    with pytest.raises(ValueError, match="the order must be from 0 to 4"):
         coefficients(5, order)
 
 

@@ -169,7 +169,7 @@ def test_a_second_start_counts_sequence_numbers_from_zero_and_the_motion_goes_on
         (b"B 0\n", "samples per frame"),
         (b"B 300\n", "samples per frame"),
         (b"M x5\n", "decoder"),
-        (b"Q\n", "no command"),
+        (b"Q\n", "not a command"),
     ],
 )
 def test_an_impossible_command_is_answered_and_changes_nothing(command: bytes, word: str) -> None:

@@ -41,7 +41,7 @@ def test_events_have_the_promised_keys(capsys: pytest.CaptureFixture[str]) -> No
     short = answer("events base --until 60 --max-steps 5")
     assert (short["outcome"], short["steps"]) == ("step limit", 5)
     assert application.run(app, "events base --until 60 --max-steps 5".split()) == 0
-    assert "raise the number of steps" in capsys.readouterr().out
+    assert "allow more steps" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("ending", [".csv", ".h5"])

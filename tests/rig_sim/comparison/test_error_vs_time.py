@@ -126,7 +126,7 @@ def test_a_scene_that_changes_between_events_is_played_by_every_method(name, cha
     found = compare(scene(name, **changes), until, methods=("exact", "rk4-henon", "dop853"))
     rows = {(row.method, row.setting): row for row in found.results}
     assert found.cycles >= 2
-    assert "the tightest other method" in found.reference
+    assert "the most accurate other method" in found.reference
     assert rows["rk4-henon", "h 0.003"].error < 1e-7
     assert min(row.error for row in found.results if row.method != "exact" and row.error is not None) < 1e-9
     compared = re.search("exact with dop853 (rtol [^;]*)", found.reference)

@@ -22,7 +22,7 @@ def said(call):
 
 MISTAKES = [
     (lambda: rig_sim.scene("rig", friction=9), "write rig_sim.scene('rig', **{'friction.KEY': VALUE})"),
-    (lambda: rig_sim.events("base", until=-1), "until: is -1; give a positive number"),
+    (lambda: rig_sim.events("base", until=-1), "until: is -1; use a positive number"),
     (lambda: rig_sim.events("base", until="soon"), "until: 'soon'"),
     (lambda: rig_sim.events("base", until=math.nan), "until: is nan"),
     (lambda: rig_sim.events("base", until=None), "until: is None; give a number"),
@@ -32,7 +32,7 @@ MISTAKES = [
         lambda: rig_sim.run("base", until=10, rate=10, step=0.1),
         "step: exact has no step; remove it, or use method='rk4-henon'",
     ),
-    (lambda: rig_sim.run("base", until=10, rate=10, output="a.pdf"), "give a name in .h5 or .csv (output)"),
+    (lambda: rig_sim.run("base", until=10, rate=10, output="a.pdf"), "choose a name that ends in .h5 or .csv (output)"),
     (lambda: rig_sim.floquet("damped", orbit="unstabel"), "orbit: unknown orbit 'unstabel'; did you mean 'unstable'?"),
     (
         lambda: rig_sim.continue_("damped", over="c=1:2"),

@@ -62,6 +62,6 @@ def test_another_file_is_refused_and_stays_as_it_is(tmp_path, content, said):
 
 
 def test_a_file_that_another_process_writes_is_refused(path):
-    with open_resume_file(path, HEADER), pytest.raises(InputError, match="another process is writing it"):
+    with open_resume_file(path, HEADER), pytest.raises(InputError, match="another process is writing this file"):
         rows_in(path)
     assert rows_in(path) == ROWS

@@ -153,5 +153,5 @@ def test_the_step_limit_is_a_named_outcome() -> None:
 def test_a_motion_too_fast_to_be_followed_is_refused(change: str) -> None:
     # It ended in a MemoryError: half a terabyte for the nodes of one millisecond.
     player = ScenePlayer(scene("rig", **parse_changes([change])))
-    with pytest.raises(InputError, match="too fast to be followed"):
+    with pytest.raises(InputError, match="too fast for steps"):
         player.follow(np.arange(1, 9) / 1000)

@@ -46,10 +46,10 @@ def test_a_negative_quantity_stands_after_a_blank(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--x", "--until", "3"], "try: --x: has no value: --until stands in its place"),
+        (["--x", "--until", "3"], "try: --x: has no value, because '--until' is also a flag"),
         (["--x"], "--x"),
         (["--x", "-mm"], "'-mm' is not a valid length"),
-        (["--until", "2 s +- 1 s"], "--until: '2 s +- 1 s' has an error, of which no use is made here"),
+        (["--until", "2 s +- 1 s"], "--until: '2 s +- 1 s' has an error, which is not accepted here"),
     ],
 )
 def test_a_missing_value_and_an_error_of_no_use_are_refused(

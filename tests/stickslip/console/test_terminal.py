@@ -40,7 +40,7 @@ def test_every_help_page_fills_80_columns_and_shows_an_example(app, capsys, monk
 
 def test_a_long_line_is_broken_between_words_in_a_terminal_alone(monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
-    line = "fit-friction: run.h5: exists and is the report of another run; give another name (--report)"
+    line = "fit-friction: run.h5: exists and contains the report of another run; choose another name (--report)"
     shown = application._wrap_lines(line, Terminal())
     assert max(map(len, shown.splitlines())) <= 40
     assert shown.split() == line.split()

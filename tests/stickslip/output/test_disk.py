@@ -135,7 +135,7 @@ def test_machine_code_that_does_not_fit_costs_no_result(full, tmp_path, capsys):
     quick = build(twice, tmp_path)
     with full(100):
         assert quick(21.0) == 42.0
-        assert f"machine code is not kept: {tmp_path}: File too large" in capsys.readouterr().err
+        assert f"compiled code cannot be stored: {tmp_path}: File too large" in capsys.readouterr().err
 
 
 def test_a_symbolic_link_stays_and_the_file_behind_it_is_replaced(tmp_path):

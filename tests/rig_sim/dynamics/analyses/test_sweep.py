@@ -62,7 +62,7 @@ def test_rows_of_something_else_are_refused(tmp_path):
     path = tmp_path / "sweep.jsonl"
     answer(FEW, "--resume", path)
     path.write_bytes(path.read_bytes() + b'{"value": 1.0, "attractors": [{}]}\n')
-    assert "not of a sweep" in answer(FEW, "--resume", path, code=2)["error"]["what"]
+    assert "not written by a sweep" in answer(FEW, "--resume", path, code=2)["error"]["what"]
 
 
 def test_a_picture_that_exists_is_refused_before_anything_is_computed(tmp_path, monkeypatch):
