@@ -69,7 +69,7 @@ def check_values(given: Any, kind: str) -> Mapping[str, Any]:
         parts = [part for part in value if part is not None] if pair else [value]
         valid = (isinstance(part, Real) or (isinstance(part, str) and units.typed_unit(part)) for part in parts)
         if pair != (kind == "bounds") or not all(valid):
-            raise InputError(f"the value of the value of {name} is {value!r:.40}", kind, do)
+            raise InputError(f"the value of {name} is {value!r:.40}", kind, do)
         if not all(isinstance(part, str) or _is_number(part, finite=not pair) for part in parts):
             raise InputError(f"the value of {name} is {value!r:.40}", kind, "use a finite number, or text with a unit")
     return given

@@ -105,7 +105,7 @@ ITERATIONS = 30  # towards the fixed point in `harmonic_share`: two gain a digit
 
 def slip_duration(slow_s: float, travel: float, belt: float) -> float:
     """Return the duration of a slip, s; ``slow_s`` and ``travel`` are those below `SLIP_SPEED` of the ``belt``, m/s."""
-    share = harmonic_share(belt * slow_s / travel)
+    share = harmonic_share(belt * slow_s / travel if travel else math.inf)
     return slow_s * (math.pi + 2 * math.asin(share)) / (math.pi + 2 * math.asin(SLIP_SPEED * share))
 
 

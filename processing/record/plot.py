@@ -1,11 +1,14 @@
 """The picture of a motion: position and velocity against time, and the phase portrait."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import matplotlib as mpl
 import numpy as np
 
-from stickslip.compute.arrays import pieces
+from daq.runfile.recording import Recording
+from processing.record.motion import Phase
+from stickslip.compute.arrays import Array, pieces
 from stickslip.output.lengths import shown_length, shown_speed
 from stickslip.output.plot import STYLE, draw_markers, figure
 from stickslip.text import printable
@@ -15,15 +18,35 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
 
-    from processing.record.kinematics import Kinematics
-
 
 CYCLES = 12  # drawn against time; the portrait shows them all
 
 SHADE, MOTION, STICK, BELT = "#f3e6c8", "#0072B2", "#E69F00", "#D55E00"
 
 
-def draw_figure(motion: "Kinematics", axes: "Axes | None" = None) -> "Figure":
+class Motion(Protocol):
+    """What is drawn of `processing.record.kinematics.Kinematics`."""
+
+    @property
+    def recording(self) -> Recording: ...
+    @property
+    def time(self) -> Array: ...
+    @property
+    def position(self) -> Array: ...
+    @property
+    def velocity(self) -> Array: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def sticks(self) -> Sequence[Phase]: ...
+    @property
+    def cycles(self) -> Sequence[object]: ...
+    @property
+    def belt_speed(self) -> float: ...
+    def facts(self) -> dict[str, str]: ...
+
+
+def draw_figure(motion: "Motion", axes: "Axes | None" = None) -> "Figure":
     """Draw the motion in a new figure, or only its phase portrait into ``axes``, and return the figure."""
     with mpl.rc_context(fname=STYLE):
         if axes is not None:
@@ -34,7 +57,7 @@ def draw_figure(motion: "Kinematics", axes: "Axes | None" = None) -> "Figure":
     return picture
 
 
-def draw_motion(picture: "Figure", cell: "SubplotSpec", motion: "Kinematics") -> None:
+def draw_motion(picture: "Figure", cell: "SubplotSpec", motion: "Motion") -> None:
     """Draw position and velocity over the first `CYCLES` cycles, and the phase portrait of the whole record."""
     grid = cell.subgridspec(2, 2, width_ratios=(1.35, 1.0), hspace=0.04, wspace=0.05)
     position_axes = picture.add_subplot(grid[0, 0])
@@ -45,19 +68,19 @@ def draw_motion(picture: "Figure", cell: "SubplotSpec", motion: "Kinematics") ->
     picture.suptitle(caption, parse_math=False, x=0.01, ha="left", fontsize=11.5)
 
 
-def _end_of_cycles(motion: "Kinematics") -> float:
+def _end_of_cycles(motion: "Motion") -> float:
     sticks = motion.sticks
     return sticks[CYCLES].start if len(sticks) > CYCLES else float(motion.time[-1])
 
 
-def _split_at_gaps(motion: "Kinematics", samples: slice) -> tuple[slice, ...]:
+def _split_at_gaps(motion: "Motion", samples: slice) -> tuple[slice, ...]:
     """Return the stretches without a gap, since a line across one would show motion that was not measured."""
     time = motion.time[samples]
     interval = float(np.median(np.diff(time)))
     return pieces(time, motion.recording.segment[samples], interval)
 
 
-def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: "Kinematics") -> None:
+def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: "Motion") -> None:
     factor, unit = shown_length(motion.unit)
     until = _end_of_cycles(motion)
     samples = slice(0, int(np.searchsorted(motion.time, until, side="right")))
@@ -95,7 +118,7 @@ def _draw_against_time(position_axes: "Axes", velocity_axes: "Axes", motion: "Ki
         )
 
 
-def _draw_portrait(axes: "Axes", motion: "Kinematics") -> None:
+def _draw_portrait(axes: "Axes", motion: "Motion") -> None:
     (factor, unit), per_second = shown_length(motion.unit), shown_speed(motion.unit)
     x, v = factor * motion.position, motion.velocity
     for piece in _split_at_gaps(motion, slice(0, x.size)):

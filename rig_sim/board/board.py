@@ -125,7 +125,7 @@ class SimulatedBoard:
             self.running = False
             return b"".join(self._take_frames(flush=True))
         if word in ("R", "B", "M", "S") and self.running:
-            return wire.encode_notice(f"{line}: the board is sampling; stop it first with X")
+            return wire.encode_notice(f"{line}: sampling; stop it first with X")
         if word == "R":
             return self._set_rate(argument)
         if word == "B":
@@ -135,7 +135,7 @@ class SimulatedBoard:
         if word == "S":
             return self._start()
         return (
-            wire.encode_notice(f"{line[:40]!r} is not a command; the commands are I, R <hz>, B <n>, M <decoder>, S, X")
+            wire.encode_notice(f"{line[:40]!r} is no command; known: I, R <hz>, B <n>, M <decoder>, S, X")
             if line
             else b""
         )
@@ -143,22 +143,20 @@ class SimulatedBoard:
     def _set_rate(self, argument: str) -> bytes:
         rate = parse_whole(argument)
         if rate is None or not 1 <= rate <= MAX_RATE_HZ:
-            return wire.encode_notice(f"R {argument}: the rate must be a whole number from 1 to {MAX_RATE_HZ} Hz")
+            return wire.encode_notice(f"R {argument}: the rate is a whole number from 1 to {MAX_RATE_HZ} Hz")
         self.rate_hz = rate
         return b""
 
     def _set_block(self, argument: str) -> bytes:
         block = parse_whole(argument)
         if block is None or not 1 <= block <= 255:
-            return wire.encode_notice(f"B {argument}: a frame must have 1 to 255 samples")
+            return wire.encode_notice(f"B {argument}: samples per frame are 1 to 255")
         self.block = block
         return b""
 
     def _set_decoder(self, argument: str) -> bytes:
         if argument not in EDGES_PER_COUNT:
-            return wire.encode_notice(
-                f"M {argument}: there is no such decoder; the decoders are {', '.join(EDGES_PER_COUNT)}"
-            )
+            return wire.encode_notice(f"M {argument}: no such decoder; known: {', '.join(EDGES_PER_COUNT)}")
         self._encoder = QuadratureEncoder(self._section, self._motion.x, self._motion.t, argument)
         if self._belt is not None:
             self._belt.restart()

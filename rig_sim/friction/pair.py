@@ -163,7 +163,7 @@ def steady_state(law: "Array | None", s: float) -> float:
         value, slope = at(law, place), at(law, place + 2)
         change = value / (share * abs(slope) - slope)
         z += change
-        if abs(change) <= CONVERGED * abs(z):
+        if abs(change) <= CONVERGED * abs(z) < math.inf:
             return z
         share *= 0.25
     return math.nan

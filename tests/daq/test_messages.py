@@ -11,8 +11,8 @@ TIME = np.arange(1000) / 500
 X = 0.01 * np.sin(6 * TIME)
 # A mistake in Python, and the call that the message names.
 MISTAKES = [
-    (lambda: daq.load("pixels.csv"), "x_unit='0.25 mm', a pixel?"),
-    (lambda: daq.load("run.h5", mass=0.3), "arguments of fitting.rank"),
+    (lambda: daq.load("pixels.csv"), "x_unit='0.25 mm' (a pixel)"),
+    (lambda: daq.load("run.h5", mass=0.3), "pass calibrations and x0 to fitting.rank"),
     (lambda: daq.record((TIME, X), "new.h5", rate_hz=500), "daq.Recording.from_arrays(t, x).save(path)"),
     (lambda: daq.record([(TIME, X)], "run.h5", rate_hz=500), "or force=True to replace it"),
     (lambda: daq.record("/dev/ttyNONE", "new.h5", rate_hz=1000), "no such port; connect the board"),

@@ -53,7 +53,7 @@ def test_every_command_and_flag_of_the_help_pages_exists():
 
 def parse(typed):
     """Let the applications parse the commands of a line, each of which must exist with its flags."""
-    for part in re.split(r" && |; | \| ", typed):
+    for part in re.split(r'(?: && |; | \| )(?=(?:[^"]*"[^"]*")*[^"]*$)', typed):
         words = shlex.split(part, comments=True)
         names = [word for word in words if word.rpartition("/")[2] in APPLICATIONS]
         if not names:

@@ -37,7 +37,7 @@ def test_it_identifies_itself_at_power_up(switch_on):
 def test_it_says_which_decoder_it_runs_and_refuses_in_words_what_it_cannot_do_and_changes_nothing(switch_on):
     refused = dict.fromkeys(("R 0", "R 5001", "R 99999999999", "R 10.5"), "1 to 5000 Hz")
     refused |= dict.fromkeys(("B 0", "B 17"), "1 to 16") | {"M jk": "no such decoder"}
-    refused |= dict.fromkeys(("R ", "hello", "II", "x" * 200), "is not a command")
+    refused |= dict.fromkeys(("R ", "hello", "II", "x" * 200), "is no command; known: I, R <hz>, B <n>")
     with switch_on("uno") as board, bench.Host(board) as host:
         other = host.say("M two-counter", "I")[-1]
         assert (other.decoder, other.capabilities) == ("two-counter", 1)
@@ -58,7 +58,7 @@ def test_settings_are_refused_while_it_samples_and_kept_between_starts(switch_on
         assert host.say("I")[-1].block_size == 3
         first = host.say("S", "R 1000", wait=0.5)
         notices = [frame for frame in first if isinstance(frame, Notice)]
-        assert [notice.text for notice in notices] == ["R 1000: the board is sampling; stop it first with X"]
+        assert [notice.text for notice in notices] == ["R 1000: sampling; stop it first with X"]
         rest = host.say("X", wait=0.5)
         blocks = [frame for frame in first + rest if isinstance(frame, SampleBlock)]
         assert [len(block.dt) for block in blocks[:-1]] == [3] * (len(blocks) - 1)

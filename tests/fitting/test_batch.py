@@ -141,7 +141,7 @@ def test_a_bug_or_a_foreign_report_is_that_runs_own_error_and_stops_no_other(fol
     (folder / "five.report.html").write_text("mine")
     files = [folder / f"{name}.h5" for name in ("five", "short", "three")]
     code, document = documents(capsys, "--each", *files, "--laws", "3")
-    assert "no report" in document["runs"][0]["error"]["what"]
+    assert "not a report" in document["runs"][0]["error"]["what"]
     assert "ZeroDivisionError" in document["runs"][1]["error"]["what"]
     assert document["runs"][2]["set"] == [3]
     assert code == 1
@@ -299,7 +299,7 @@ def test_rank_each_gives_of_each_run_what_rank_gives_of_it_alone(folder, alone):
         ([], {}, "no run; pass files"),
         ([1.0], {}, "some of the arguments are not runs; pass files"),
         (["run.h5"], {"jobs": 0}, "jobs is 0; it must be 1 or more"),
-        (["run.h5"], {"mass": 1.0, "stiffness": 1.0}, "mass and stiffness together"),
+        (["run.h5"], {"mass": 1.0, "stiffness": 1.0}, "mass and stiffness cannot be combined"),
         (["run.h5"], {"laws": 9}, "9"),
         (["run.h5"], {"rig": [Rig()] * 2}, "2 rigs for 1 runs"),
     ],

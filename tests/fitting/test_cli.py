@@ -102,12 +102,12 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, tmp_path, b
     done = job.fit_runs([job.load_run(path, options)], options)
     job.save(done, None, "")
     stage.save(smooth(store.load(path), method="sg"), path)
-    refused(done, path, "smoothed anew")
+    refused(done, path, "smoothed again")
     command.fit(path, laws="5", no_report=True)
     with h5py.File(path) as file:
         assert file["entry/fit/parameters/sha256_smooth"].asstr()[()] == stage.digest(file["entry"])
     store.write(path, belt_rig.recording(law=5, duration=10.0, seed=2), force=True)
-    refused(done, path, "recorded anew")
+    refused(done, path, "recorded again")
 
 
 def refused(done, path, what):
@@ -140,8 +140,8 @@ def test_damping_without_a_mass_is_refused(belt_rig, run, tmp_path):
 @pytest.mark.parametrize(
     ("flag", "text", "said"),
     [
-        ("report", "mine", "no report"),
-        ("csv", "mine", "no ranking"),
+        ("report", "mine", "not a report"),
+        ("csv", "mine", "not a ranking"),
         ("curve_csv", "my own table\n", "mine"),
         # A curve was replaced by that of another run: it does not say of which run it is.
         ("curve_csv", "speed (m/s),friction (N),lo (N),hi (N)\n", "mine"),

@@ -91,5 +91,5 @@ def test_without_a_measured_curve_the_force_balance_is_drawn_beside_the_law(rank
 
 
 def test_a_ranking_without_laws_says_that_there_is_no_curve(ranking):
-    with pytest.raises(DataError, match="no law came near"):
+    with pytest.raises(DataError, match="no law fits this record even roughly"):
         replace(ranking, rows=()).plot()

@@ -244,9 +244,12 @@ def test_positions_in_mm_are_asked_about(run, call):
 # A mistake, and the words that say what to do.
 MISTAKES = [
     (lambda run: fitting.rank(run.time), "fitting.rank(time, position)"),
-    (lambda run: fitting.rank(run, run.position), "give the run alone"),
-    (lambda run: fitting.rank(run.time, run.position[1:]), "time has 6000 values and position 5999; give one each"),
-    (lambda run: fitting.rank([]), "no run; give at least one"),
+    (lambda run: fitting.rank(run, run.position), "pass only the run"),
+    (
+        lambda run: fitting.rank(run.time, run.position[1:]),
+        "time has 6000 values, but position has 5999; pass one value for each sample",
+    ),
+    (lambda run: fitting.rank([]), "no run; pass at least one"),
     (lambda run: fitting.rank(run, laws="strybeck"), "laws: 'strybeck' is no published law; did you mean 'stribeck'?"),
     (
         lambda run: fitting.rank(run, fix={"gama": 10}),
@@ -254,17 +257,23 @@ MISTAKES = [
     ),
     (lambda run: fitting.rank(run, fix=[("gamma", 10)]), "write fix={'gamma': 9.6}"),
     (lambda run: fitting.rank(run, fix={"gamma": "10"}), "fix: the value of gamma is '10'; write fix="),
-    (lambda run: fitting.rank(run, bounds={"gamma": 10}), "as in bounds={'gamma': (0, 20)}"),
-    (lambda run: fitting.rank(run, bounds={"gamma": (10, 5)}), "bounds: bounds of gamma are 10 and 5"),
-    (lambda run: fitting.rank(run, bounds={"gamma": (5, 10)}, start={"gamma": 20}), "start: gamma is 20, not within"),
-    (lambda run: fitting.rank(run, mass=0.3, stiffness=10), "mass and stiffness together; give one"),
+    (lambda run: fitting.rank(run, bounds={"gamma": 10}), "write bounds={'gamma': (0, 20)}"),
+    (
+        lambda run: fitting.rank(run, bounds={"gamma": (10, 5)}),
+        "bounds: the lower bound of gamma, 10, is not below the upper one, 5",
+    ),
+    (
+        lambda run: fitting.rank(run, bounds={"gamma": (5, 10)}, start={"gamma": 20}),
+        "start: gamma = 20 is outside its bounds",
+    ),
+    (lambda run: fitting.rank(run, mass=0.3, stiffness=10), "mass and stiffness cannot be combined; state only one"),
     (lambda run: fitting.rank(run, belt_speed=0), "belt_speed: belt speed is 0"),
     (lambda run: fitting.rank(run, belt_speed="channel"), "belt_speed: the run has no belt counts"),
-    (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; give a number"),
-    (lambda run: fitting.rank(run, begin=3), "fitting.rank('run.h5', begin=5), or cut the arrays"),
-    (lambda run: fitting.rank(RUN, begin=30), "give other times with begin and end"),
-    (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles to exclude from several runs"),
-    (lambda run: fitting.rank([run, run], belt_speed=0.2), "several runs"),
+    (lambda run: fitting.rank(run, alpha=5), "alpha: alpha is 5; it must be a number"),
+    (lambda run: fitting.rank(run, begin=3), "fitting.rank('run.h5', begin=5), or slice the arrays"),
+    (lambda run: fitting.rank(RUN, begin=30), "choose other times with begin and end"),
+    (lambda run: fitting.rank([run, run], excluded=2), "excluded: cycles cannot be excluded from a joint fit"),
+    (lambda run: fitting.rank([run, run], belt_speed=0.2), "a joint fit does not accept one belt speed"),
     (lambda run: fitting.rank([run, run], rig=[Rig()]), "rig: 1 rigs for 2 runs; pass one rig for all"),
     (lambda run: fitting.rank(run.time, np.arange(6000)), "daq.Recording.from_arrays(time, counts, metres_per_count="),
     (lambda run: fitting.Law("mine", "Fs/(1 + s/v"), "formula: this bracket is not closed; add a )"),
@@ -273,9 +282,12 @@ MISTAKES = [
         lambda run: fitting.Law("mine", MINE, start={"v": 1}),
         "start: law mine has no parameter v; did you mean 'v_s'?",
     ),
-    (lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.2, 0.1)}), "bounds: bounds of v_s"),
-    (lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.0, None)}, start={"v_s": -1}), "start: v_s is -1"),
-    (lambda run: fitting.Law("mine", abs), 'give two texts: fitting.Law("mine", "Fs/(1 + s/v_s)")'),
+    (lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.2, 0.1)}), "bounds: the lower bound of v_s"),
+    (
+        lambda run: fitting.Law("mine", MINE, bounds={"v_s": (0.0, None)}, start={"v_s": -1}),
+        "start: v_s = -1 is outside",
+    ),
+    (lambda run: fitting.Law("mine", abs), 'write fitting.Law("mine", "Fs/(1 + s/v_s)")'),
 ]
 OF_A_RANKING = [
     (lambda found: fitting.rank(found), "pass a run: fitting.rank(daq.load(path))"),
@@ -284,8 +296,8 @@ OF_A_RANKING = [
     (lambda found: found.best.position("now"), "t: t is 'now'; pass numbers, as in t=np.linspace(0, 1, 101)"),
     (lambda found: found.bootstrap(1), "bootstrap: n must be a whole number, 2 or more, not 1"),
     (lambda found: found.report("other.html"), "choose another name, or force=True to replace it"),
-    (lambda found: found.report("run.pdf"), "name it run.html (path); to obtain a PDF, print this page from a browser"),
-    (lambda found: found.save_scene("rig.h5"), "this is a TOML file; name it rig.toml (path)"),
+    (lambda found: found.report("run.pdf"), "name it run.html (path); then print the page from a browser"),
+    (lambda found: found.save_scene("rig.h5"), "the output is a TOML file; name it rig.toml (path)"),
     (lambda found: found.save_scene("there.toml"), "choose another name, or force=True to replace it"),
 ]
 

@@ -107,7 +107,7 @@ def test_the_statistics_are_stored_with_units_and_computed_for_an_older_stage(sa
 
 def test_a_run_that_was_not_smoothed_has_no_stage(path):
     assert stage.load(path) is None
-    with pytest.raises(InputError, match=r"not smoothed yet; run: process smooth run\.h5"):
+    with pytest.raises(InputError, match=r"not smoothed yet; run 'process smooth run\.h5'"):
         stage.load_statistics(path)
 
 

@@ -1,5 +1,6 @@
 """The commands that the campaigns break off and spoil, with the files they start from and those they must end with."""
 
+import re
 import shutil
 import time
 from collections.abc import Callable
@@ -196,7 +197,7 @@ def _follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[
         ended = server.run(line, folder)
         if ended.code == 0:
             return [], daq.load(run).time.size
-        if "delete it and record again" not in ended.err:
+        if not re.search(r"delete (it|this file) and record again", ended.err):
             return [f"{' '.join(line)} ended with {ended.code}: {ended.err}"], None
         if ended.code == EXIT_DATA:  # the board had not sent a sample
             part.unlink()

@@ -107,7 +107,7 @@ def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
     elif flow.u0 == 0.0:
         outcome = "no drive"
     elif not self_excited:
-        outcome = "there is no stick-slip to quench"
+        outcome = "nothing to quench"
     return Quench(
         outcome,
         threshold_by_formula,

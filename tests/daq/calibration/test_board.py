@@ -143,7 +143,8 @@ def test_what_was_calibrated_is_what_a_recording_uses(capsys, tmp_path):
     ("port", "duration", "what"),
     [
         (url("belt.speed=0.0"), 2, "not moved"),
-        ("rig://rig", 4, "not that of a spring"),  # was written with a warning, and the next recording took it
+        # This one was written with a warning, and the next recording took it.
+        ("rig://rig", 4, "not that of a mass on a spring"),
     ],
 )
 def test_a_motion_that_is_no_ring_down_writes_no_calibration(capsys, tmp_path, port, duration, what):

@@ -155,7 +155,7 @@ def test_a_column_of_forces_suggests_the_spring_and_is_read_as_its_stretch(tmp_p
     path = FORMATS[form](tmp_path, [columns()[0], force])
     with pytest.raises(InputError) as caught:
         daq.load(path)
-    assert f"is in {unit}, so it is a force and not a position" in str(caught.value)
+    assert f"is in {unit}: a force, not a position" in str(caught.value)
     name = f"Fx_{unit}" if "numpy" in form else "Fx"
     assert f"spring_force='{name}', stiffness='168 N/m'" in str(caught.value)
     assert "--stiffness '168 N/m'; else choose" in caught.value.as_line()

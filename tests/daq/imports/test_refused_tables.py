@@ -109,7 +109,11 @@ TEXTS = [
         {"counts_per_rev": 100},
         ["counts_per_rev requires circumference; add circumference, or use metres_per_count"],
     ),
-    (COUNT, {"circumference": "1 mm"}, ["circumference without counts_per_rev"]),
+    (
+        COUNT,
+        {"circumference": "1 mm"},
+        ["circumference requires counts_per_rev; add counts_per_rev, or use metres_per_count"],
+    ),
     (
         COUNT,
         {"counts_per_rev": 0, "circumference": "1 mm"},

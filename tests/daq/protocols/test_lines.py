@@ -341,7 +341,7 @@ COUNTS = "t_us,count"
         (None, lambda k: b"t=%d x=%d.04 y=3\n" % (2000 * k, k), "the position has no unit; .* t_us,x_mm"),
         (None, lambda k: b"(%d, %d.04)\n" % (2000 * k, k), "no columns are declared; .* --columns t_us,x_mm"),
         # Something else is printed.
-        (COUNTS, lambda k: b"Hello\n", "one is 'Hello'"),
+        (COUNTS, lambda k: b"Hello\n", "the lines, such as 'Hello', do not match the columns"),
         (COUNTS, lambda k: b"1,2,3,4\n", "do not match the columns t_us,count"),
         (COUNTS, lambda k: b"", "no data arrived"),
         (COUNTS, lambda k: b"77,5\n", "does not change"),

@@ -103,7 +103,8 @@ def test_decimals_without_a_unit_are_counts_and_said_to_be(tmp_path, monkeypatch
     assert run.unit == "count"
     assert np.ptp(run.count) == pytest.approx(1000, abs=2)
     assert any(
-        "the positions have no unit, so they are recorded as counts of 0.01 of it" in text for text in found.warnings
+        "the positions have no unit, so they are recorded as counts of 0.01 of the unit" in text
+        for text in found.warnings
     )
     assert any("--columns t_us,x_mm:2" in text for text in found.warnings)
 

@@ -139,10 +139,10 @@ def test_frames_of_a_newer_version_are_counted_and_skipped():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: wire.encode_samples(SampleBlock(0, 0, 0, (), (), (), ())), "0 samples"),
+        (lambda: wire.encode_samples(SampleBlock(0, 0, 0, (), (), (), ())), "1 to 255 samples, not 0"),
         (lambda: wire.encode_samples(SampleBlock(70_000, 0, 0, (0,), (0,), (0,), (0,))), "70000"),
         (lambda: wire.encode_samples(SampleBlock(0, 0, 0, (0,), (0, 1), (0,), (0,))), "zip"),
-        (lambda: wire.encode_truth(TruthFrame(0, ())), "0 rows"),
+        (lambda: wire.encode_truth(TruthFrame(0, ())), "1 to 255 rows, not 0"),
         (lambda: wire.encode_config("x" * 20_000), "20000"),
         (lambda: wire.encode_ident(Ident((0, 0, 300), "x4", Capability(0), 16, 1, 1, 1, 1, "")), "300"),
     ],

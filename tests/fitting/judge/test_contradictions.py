@@ -110,8 +110,8 @@ def test_a_contradicted_x0_is_named_as_it_was_stated(smoothed):
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        ({"mass": "300 kg"}, "mass: 300 kg overrides the stored 0.299"),
-        ({"stiffness": "10.5 N/mm"}, "overrides the stored 0.299"),  # which implies a mass of 300 kg
+        ({"mass": "300 kg"}, "mass: 300 kg overrides the stored value, 0.299"),
+        ({"stiffness": "10.5 N/mm"}, "overrides the stored value, 0.299"),  # which implies a mass of 300 kg
         ({"mass": "300 g"}, None),
         ({"stiffness": "10.5 N/m"}, None),
     ],

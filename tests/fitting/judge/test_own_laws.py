@@ -249,7 +249,7 @@ def test_a_mass_that_grazes_the_belt_may_have_a_formula(smoothed):
     ranking = rank(smoothed(law=1, duration=10.0), laws=(1, 2, fitting.Law("level", "F0")))
     assert ranking.row("level").in_set
     assert ranking.laws_in_set == (1,)
-    assert ranking.verdict.startswith("no sustained stick")
+    assert ranking.verdict.startswith("without a sustained stick")
 
 
 def test_runs_are_fitted_together_with_a_formula(smoothed):

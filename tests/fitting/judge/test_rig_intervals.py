@@ -23,7 +23,7 @@ def test_an_interval_contains_those_of_the_other_laws_in_the_set():
     assert first.parameters["Fs/m"] is level  # a parameter of the law, not of the rig
     assert third.parameters == rows[2].parameters
     (said,) = law_dependent(rows, (3, 4))
-    assert "0.2 by law 3, 0.23 by law 4" in said
+    assert "0.2 under law 3, 0.23 under law 4" in said
 
 
 def test_each_run_of_several_has_its_own_belt_speed():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fitting.model import memory
-from fitting.model.memory_flow import COLUMNS, FC, FS, PARAMETERS, V0, V_S, follow_window
+from fitting.model.memory_flow import BRISTLES, PER_WINDOW, RATE_AND_STATE, follow_window
 from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
 from stickslip.compute.compile import compiled
 
@@ -34,13 +34,14 @@ def test_a_window_is_followed_as_by_scipy(monkeypatch, law, number, looser, erro
     times = np.linspace(0.0, case.until, 1001)
     expected, _ = peer.solve(case, times)
     values = {name: one if name in ("v_s", "D", "v0") else one / case.m for name, one in case.parameters.items()}
-    p = np.array([case.k / case.m, case.speed, 0.0, case.c / case.m, *(values.get(name, 0.0) for name in PARAMETERS)])
-    if "Fs" not in values:
-        p[FS], p[V_S] = p[FC], 1.0
     code = MEMORY_LAWS[law].code
-    change = NEVER_BENT if code == BRISTLE else -math.log(p[V0] / case.speed)
+    if law == "dahl":
+        values |= {"Fs": values["Fc"], "v_s": 1.0}
+    names = BRISTLES if code == BRISTLE else RATE_AND_STATE
+    p = np.array([case.k / case.m, case.speed, 0.0, case.c / case.m, *(values[name] for name in names)])
+    change = NEVER_BENT if code == BRISTLE else -math.log(values["v0"] / case.speed)
     own, scale = np.array([case.x, 0.0, 0.0, 0.0, change]), np.array([1.0, memory.TOLERANCE * np.ptp(expected), looser])
-    x, work = np.empty((3, times.size)), np.empty((4, COLUMNS, 3))
+    x, work = np.empty((3, times.size)), np.empty((4, columns := p.size + PER_WINDOW, 3))
     follow = compiled(follow_window, memory.KERNELS, _nrt=False)
-    assert follow(code, p, own, scale, times, x, np.empty((0, COLUMNS)), work)
+    assert follow(code, p, own, scale, times, x, np.empty((0, columns)), work, None)
     assert np.sqrt(np.mean((x[0] - expected) ** 2)) < error * np.ptp(expected)

@@ -56,5 +56,5 @@ def test_a_page_of_other_runs_is_not_replaced(tmp_path, runs):
         comparison.write(runs[:3], path, 0.05, "")
     comparison.write(runs[:3], path, 0.05, "", force=True)
     path.write_text("mine")
-    with pytest.raises(InputError, match="no comparison"):
+    with pytest.raises(InputError, match="not a comparison"):
         comparison.refuse_foreign_file(path, [run.file for run in runs[:3]])

@@ -55,7 +55,7 @@ def report_of(page, *digests):
 @pytest.mark.parametrize(
     ("made_of", "runs", "said"),
     [
-        (None, [""], "is no report"),
+        (None, [""], "is not a report"),
         ([OWN], [OWN], None),
         ([OWN], [OTHER], "another run"),  # a report of any run used to be replaced
         ([OWN, OTHER], [OTHER, OWN], None),
@@ -143,7 +143,7 @@ def test_a_figure_is_saved_with_its_data(page, ranked):
     assert archive.read("rig-friction.svg").startswith(b"<svg")
     rows = list(csv.DictReader(io.StringIO(archive.read("rig-friction.csv").decode())))
     assert {row["x axis"] for row in rows} == {"slip speed s (m/s)"}
-    shown = [(float(row["x"]), float(row["y"])) for row in rows if row["curve"].startswith("measured")]
+    shown = [(float(row["x"]), float(row["y"])) for row in rows if row["curve"] == "model-free estimate"]
     curve = ranked(law=5).adequacy.curve
     np.testing.assert_allclose(shown, np.c_[curve.speed, curve.friction], rtol=1e-6)
 

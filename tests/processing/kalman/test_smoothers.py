@@ -11,7 +11,6 @@ from processing.kalman import corner_kernel, motion_kernel, stick_slip, white_je
 from processing.kalman.white_jerk import first_state
 from processing.record import series
 from processing.record.setting import Setting
-from processing.stick_slip import noise as landing_snap
 from processing.stick_slip.corners import KERNELS
 from stickslip.compute.compile import compiled
 
@@ -196,7 +195,7 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
     state = first_state(data.time[i:j], data.position[i:j], 5e-12, 3)
     kernel = corner_kernel.accumulate_normal_equations
     noise, loose = levels.process, np.array([0.0, 1e-6, 0.0, 0.0])
-    for run in (kernel, compiled(kernel, landing_snap.SNAP_KERNELS)):
+    for run in (kernel, compiled(kernel, KERNELS)):
         gram, rhs = np.zeros((2, 2)), np.zeros(2)
         run(stick_slip.SNAP, data.time[i:j], data.position[i:j], state, landing, edges, parts, noise, loose, gram, rhs)
         outcomes.append(np.concatenate((gram.ravel(), rhs)))

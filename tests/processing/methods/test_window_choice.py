@@ -1,5 +1,7 @@
 """The window: chosen without truth close to the best one known with it, and read as people write it."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -80,17 +82,17 @@ def test_a_window_is_read_as_people_write_it(imported, text, samples):
 @pytest.mark.parametrize(
     ("window", "order", "message"),
     [
-        ("3", None, "window is 3; need an odd number above order 4; use 5"),
-        ("2ms", None, "window is 3; need an odd number above order 4"),
-        ("0.2ms", None, "less than two sample intervals"),
-        ("4.5", None, "give a whole number of samples, or a unit"),
-        ("101", None, "the longest stretch of the record has 100"),
-        ("1e9ms", None, "window is 1e9ms; the longest stretch of the record lasts 0.1 s; give a shorter one"),
-        ("1e400s", None, "window is 1e400s; the longest stretch of the record lasts 0.1 s"),
-        ("auto", 21, "order is 21; give 1 to 20"),
+        ("3", None, "the window must be an odd number above the order (4), not 3; use 5"),
+        ("2ms", None, "the window must be an odd number above the order (4), not 3"),
+        ("0.2ms", None, "the window of 0.2ms is shorter than two sample intervals"),
+        ("4.5", None, "use a whole number of samples, or a duration"),
+        ("101", None, "101 samples, but the longest uninterrupted part of the record has 100; choose a shorter window"),
+        ("1e9ms", None, "1e9ms long, but the longest uninterrupted part of the record lasts 0.1 s; choose a shorter"),
+        ("1e400s", None, "1e400s long, but the longest uninterrupted part of the record lasts 0.1 s"),
+        ("auto", 21, "the order is 21; it must be from 1 to 20"),
     ],
 )
 def test_an_impossible_window_is_refused_with_the_remedy(imported, window, order, message):
     data = series.from_recording(imported(np.arange(100) * 1e-3, np.arange(100.0)))
-    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+    with pytest.raises(InputError, match=re.escape(message)):
         parse_window(window, order, data)

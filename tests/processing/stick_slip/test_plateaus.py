@@ -155,7 +155,7 @@ def test_a_speed_in_metres_is_not_compared_with_counts(law_5):
     assert found.belt_speed * 7.67e-6 == pytest.approx(0.22, rel=1e-3)
     assert [finding.code for finding in found.findings] == ["belt-speed-unit"]
     assert "0.22 m/s was stated, but the positions are in counts" in found.findings[0].text
-    assert "7.67e-06 m per count" in found.findings[0].text
+    assert "counts/s, which is this speed if a count is 7.67e-06 m" in found.findings[0].text
     with pytest.raises(InputError, match=r"0\.22 m/s, but the positions are in counts"):
         processing.smooth(run, belt_speed=0.22)
 

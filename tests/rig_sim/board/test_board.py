@@ -166,10 +166,10 @@ def test_a_second_start_counts_sequence_numbers_from_zero_and_the_motion_goes_on
         (b"R 0\n", "rate"),
         (b"R fast\n", "rate"),
         (b"R 1000000\n", "rate"),
-        (b"B 0\n", "samples per frame"),
-        (b"B 300\n", "samples per frame"),
+        (b"B 0\n", "samples per frame are 1 to 255"),
+        (b"B 300\n", "samples per frame are 1 to 255"),
         (b"M x5\n", "decoder"),
-        (b"Q\n", "not a command"),
+        (b"Q\n", "is no command"),
     ],
 )
 def test_an_impossible_command_is_answered_and_changes_nothing(command: bytes, word: str) -> None:

@@ -187,8 +187,8 @@ FAULTS = [  # text, the caret's column, a word of what is said
     ("Fs(1 + s)", 0, "a product needs a *"),
     ("epx(-s)", 0, "did you mean 'exp'?"),
     ("exp", 0, "write exp(...)"),
-    ("exp()", 0, "give one"),
-    ("exp(s, 1)", 0, "give one"),
+    ("exp()", 0, "exp has 0 arguments; pass one"),
+    ("exp(s, 1)", 0, "exp has 2 arguments; pass one"),
     ("min(s)", 0, "pass two or more"),
     ("Fs*(1 - s", 3, "not closed"),
     ("Fs*(1 - s))", 10, "no matching opening bracket"),
@@ -252,7 +252,7 @@ def test_a_numerical_failure_is_a_sentence_with_speed_and_parameters(
 
 
 def test_a_slope_that_is_not_finite_and_a_missing_parameter_are_sentences() -> None:
-    with pytest.raises(InputError, match="derivative by s is not finite at s = 0 m/s"):
+    with pytest.raises(InputError, match="derivative with respect to s is not finite at s = 0 m/s"):
         Formula.parse("1 - sqrt(s)").slope(np.array([0.0, 1.0]), {})
     with pytest.raises(InputError, match="no value for v_s, b"):
         Formula.parse(STRIBECK).value(0.0, {"Fc": 0.5, "Fs": 1.0})

@@ -85,7 +85,7 @@ def test_a_speed_out_of_the_range_of_numbers_is_refused(fastest: float) -> None:
         ("Fs - 2*s**2", {"Fs": 1.0}, "friction is negative"),
         ("Fs - 2*s", {"Fs": 1.0}, "friction is negative, -3, at s = 2 m/s with Fs = 1; the mass may reach s = 2 m/s"),
         ("Fs/abs(s - 1)", {"Fs": 1.0}, "division by 0"),
-        ("Fs - sqrt(s)/9", {"Fs": 1.0}, "derivative by s is not finite at s = 0 m/s"),
+        ("Fs - sqrt(s)/9", {"Fs": 1.0}, "derivative with respect to s is not finite at s = 0 m/s"),
         ("Fs + 1e-3/((s - 1.05)**2 + 1e-28)", {"Fs": 1.0}, "friction|abruptly"),
         ("Fs + tanh((s - 1.03)/1e-14)/2", {"Fs": 1.0}, "changes too abruptly"),
     ],

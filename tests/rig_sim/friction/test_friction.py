@@ -40,7 +40,7 @@ def test_kernels_use_the_same_force_as_fits(number, static):
 
 
 def test_ramp_without_width_and_unknown_curve_are_refused():
-    with pytest.raises(ValueError, match="d is 0"):
+    with pytest.raises(ValueError, match="d must be above 0 m/s, not 0"):
         force(LAWS[6], 0.1, gamma=3.0)
     with pytest.raises(ValueError, match="the curve must be 0"):
         magnitude(9, 0.1, 1.0)

@@ -25,7 +25,7 @@ MISTAKES = [
     (lambda: rig_sim.events("base", until=-1), "until: is -1; use a positive number"),
     (lambda: rig_sim.events("base", until="soon"), "until: 'soon'"),
     (lambda: rig_sim.events("base", until=math.nan), "until: is nan"),
-    (lambda: rig_sim.events("base", until=None), "until: is None; give a number"),
+    (lambda: rig_sim.events("base", until=None), "until: is None; use a number"),
     (lambda: rig_sim.events("base", until=10, max_steps=2.5), "max_steps: is 2.5, not a whole number"),
     (lambda: rig_sim.run("base", until=10, rate=10, method="exat"), "method: unknown method 'exat'; use one of exact"),
     (
@@ -43,15 +43,15 @@ MISTAKES = [
     (lambda: rig_sim.map("two-mass", d="much"), "d: 'much' contains something that is not a number"),
     (lambda: rig_sim.basins(rig_sim.FormulaMap([1.0, 1.0])), "write super().__init__(..., interval=(lo, hi))"),
     (lambda: rig_sim.lyapunov("base"), "write rig_sim.scene('base', **{'drive.u0': 0.2, 'drive.omega': 1.6})"),
-    (lambda: rig_sim.sweep("two-mass", over="belt.speed=0.1:0.2:3", jobs=0), "jobs: is 0; give 1 or more"),
+    (lambda: rig_sim.sweep("two-mass", over="belt.speed=0.1:0.2:3", jobs=0), "jobs: is 0; use 1 or more"),
     (lambda: rig_sim.cycle("two-mass"), "use rig_sim.events, run, fixed_point"),
     (
         lambda: rig_sim.quench(rig_sim.scene("forced", **{"drive.omega": 0})),
         "write rig_sim.scene('forced', **{'drive.omega': 1.6})",
     ),
-    (lambda: rig_sim.lock("forced", period=1, budget="little"), "budget: is 'little'; give a number"),
-    (lambda: rig_sim.shaker(m=-1, k=1, c=0, gamma=0, a=0, phi=0), "m: is -1; give a number above 0"),
-    (lambda: rig_sim.shaker(m=1, k=1, c=0, gamma=0, a=0, phi=0, band=3), "give (low, high) in rad/s"),
+    (lambda: rig_sim.lock("forced", period=1, budget="little"), "budget: is 'little'; use a number"),
+    (lambda: rig_sim.shaker(m=-1, k=1, c=0, gamma=0, a=0, phi=0), "m: is -1; use a number above 0"),
+    (lambda: rig_sim.shaker(m=1, k=1, c=0, gamma=0, a=0, phi=0, band=3), "use (low, high) in rad/s"),
 ]
 
 

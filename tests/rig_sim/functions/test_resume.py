@@ -45,10 +45,10 @@ def test_a_file_to_which_nothing_was_written_does_not_stay(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"time,x\n0,1\n", "contains something else"),
-        (b"\x89PNG without an end of line", "contains something else"),
-        (b'{"rows": []}\n', "contains something else"),
-        (b'{"command": "count", "step": {"size": 0.2}}\n', r"step\.size is 0\.2 there and 0\.1 here"),
+        (b"time,x\n0,1\n", "was not written by this command"),
+        (b"\x89PNG without an end of line", "was not written by this command"),
+        (b'{"rows": []}\n', "was not written by this command"),
+        (b'{"command": "count", "step": {"size": 0.2}}\n', r"step\.size is 0\.2 there, but 0\.1 here"),
         (b'{"command": "count"}\n', "step is None there"),
         (b'{"command": "count", "step": {"size": 0.1}}\n{"value": 1}\n{"val\n{"value": 3}\n', "line 3 is damaged"),
     ],
