@@ -49,6 +49,6 @@ def test_every_key_that_a_command_prints_is_on_the_page(tmp_path):
             application.run(app, [*arguments, "--json"])
         section = next(part for part in PAGE.split("\n## ") if command in part.partition("\n")[0])
         named = set(
-            re.findall(r"`([^`]+)`", section + PAGE.partition("\n## ")[0] + PAGE.partition("`statistics`: ")[2])
+            re.findall(r"`([^`]+)`", section + PAGE.partition("\n## ")[0] + PAGE.partition("`statistics` has ")[2])
         )
         assert set(keys(json.loads(out.getvalue()))) - named == set(), command
