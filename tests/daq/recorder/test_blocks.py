@@ -150,15 +150,14 @@ def test_a_source_that_gives_nothing_is_ended(tmp_path, monkeypatch, then, began
     monkeypatch.setattr("daq.recorder.blocks.LEAVE_S", 0.3)
     monkeypatch.setattr("daq.recorder.blocks.SILENT_S", 0.5)
 
+    stop = threading.Event()
+    how = {"stop": stop} if by == "stop" else {"seconds": 0.8}
+
     def source():
         yield from card(t=TIME[:700]) if began else []
+        threading.Timer(0.3, stop.set).start()
         yield from then()
 
-    stop = threading.Event()
-    how = {"seconds": 0.8}
-    if by == "stop":
-        how = {"stop": stop}
-        threading.Timer(0.3, stop.set).start()
     begun = time.monotonic()
     if began:
         found, _ = taken(tmp_path, source(), **how)
