@@ -151,6 +151,7 @@ def solve(matrix: Array, right: Array) -> Array:
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])
 
 
+LEAST_COST_SHARE = 0.01  # smallest gain over the cost: patterns of rounded counts give 0.4 %
 LEAST_GAIN = 12.0  # smallest gain of a reported departure; on a true law gains reach 6
 SCALES_AT_ONCE = 16  # scales in one computation of curvatures, of which only those within a scale are used
 # Scales tried near the best one of a scan, in steps of the scan.
@@ -176,14 +177,15 @@ def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
     """Return the departures that lower the cost by more than noise; a drag must dissipate energy."""
-    thin, misfit = base.thinned(), base.misfit_beyond_noise(noise)
+    thin, least_gain = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
+    misfit = base.misfit_beyond_noise(noise)
     candidates = []
     for departure in DEPARTURES:
         scale = find_best_scale(thin, departure)
         if scale is None:
             continue
         size, gain = (step[0] for step in linear_steps(base, departure, np.array([scale])))
-        if gain > LEAST_GAIN and (departure.drag is None or size[0] > 0):
+        if gain > least_gain and (departure.drag is None or size[0] > 0):
             candidates.append(Candidate(departure, scale, size, float(gain) / max(misfit, LEAST_GAIN)))
     return candidates
 
@@ -336,8 +338,10 @@ def _fit_law_with_departure(
     if settled is None or settled.geometric_mean_rms > NEAR_BEST * noise:
         return None
     finished = finish(settled, noises)
-    base = None if finished is None else Base.at(finished, fit.problem.motions)
-    if finished is None or base is None:
+    if finished is None or finished.geometric_mean_rms > NEAR_BEST * noise:
+        return None
+    base = Base.at(finished, fit.problem.motions)
+    if base is None:
         return None
     # A law that fits poorly was fitted only to the thinned record.
     alone, linear = fit.residual if fit.finished else fit.residual_in(finished.windows, fit.local), base.linear

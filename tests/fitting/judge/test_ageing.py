@@ -84,7 +84,7 @@ def test_two_belt_speeds_determine_how_a_break_away_ages(belt_rig):
     runs = [belt_rig.by_encoder(replace(contact, belt=belt, seed=seed)) for seed, belt in ((11, 0.08), (12, 0.25))]
     ranking = rank(runs, laws=(3, 5, 6), mass=0.3, x0=(0.0, 1e-4))
     (finding,) = [finding for finding in ranking.findings if finding.code == "break-away"]
-    growth, error = re.search(r"grows by (\S+) \+- (\S+) % of that", finding.text).groups()
+    growth, error = re.search(r"grows by (\S+) \+- (\S+) %", finding.text).groups()
     assert ranking.laws_in_set == (5,)
     assert float(error) <= 0.7
     assert abs(float(growth) - 5.0) < 0.7
