@@ -152,6 +152,8 @@ class Law:
             raise InputError(what, "law", 'write fitting.Law("mine", "Fs/(1 + s/v_s)")')
         if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
+        if self.rate and self.ramp:
+            raise InputError(f"law {self.name} has memory, and no ramp", "--ramp", "omit it")
         if self.own_memory:
             self._check_memory()
         known = self.parameters
@@ -184,13 +186,11 @@ class Law:
 
     def _check_memory(self) -> None:
         if not isinstance(self.rate, str):
-            raise InputError(f"is {self.rate!r:.40}", "rate", 'give a formula: rate="1 - s*z/D"')
-        if self.ramp:
-            raise InputError(f"law {self.name} has memory, and no ramp", "ramp", "leave it out")
+            raise InputError(f"must be a text, not {self.rate!r:.40}", "rate", 'write a formula: rate="1 - s*z/D"')
         for formula, what in ((self.curve, "formula"), (self.state_rate, "rate")):
             if STATE not in formula.parameters:
                 do = f"write {STATE} for the state, as in F0 + b*log(z/t0); z' = 1 - s*z/D"
-                raise InputError(f"of law {self.name} does not depend on the state {STATE}", what, do)
+                raise InputError(f"that of law {self.name} does not contain the state {STATE}", what, do)
 
     @cached_property
     def curve(self) -> Formula:
@@ -227,7 +227,7 @@ class Law:
 
     @property
     def words(self) -> str:
-        if self.name in OF_MEMORY:
+        if self.rate and not self.own_memory:
             return MEMORY_LAWS[self.name].title
         return LAWS[self.number].name if self.number else self.name.replace("-", " ")
 
@@ -456,7 +456,7 @@ def read_law(spec: str, where: str = "--law") -> Law:
     begin = RATE.match(rate)
     if semicolon and begin is None:
         do = f"write {STATE}' = and the rate: \"mine: F0 + b*log(z/t0); z' = 1 - s*z/D\""
-        raise InputError(f"no rate of a state {STATE} behind the ;", where, do)
+        raise InputError(f"the part after ; is not the rate of a state {STATE}", where, do)
     formula, rate = formula.strip(), rate[begin.end() :].strip() if begin else ""
     if name in NAMED and formula != NAMED[name].formula:
         what = f"{name} is the name of a published law, {NAMED[name].formula}"
@@ -649,8 +649,6 @@ class Competitors:
         named = _each_once([*_read(laws, "--laws"), *map(read_law, law)])
         behind = list(ramp)
         for name in behind:
-            if any(one.rate and one.name == name for one in named):
-                raise InputError(f"law {name} has memory, and no ramp", "--ramp", "leave it out")
             check_known(name, [one.name for one in named if not one.number], "law", "--ramp")
         return cls(
             tuple(one.behind_ramp() if one.name in behind else one for one in named),

@@ -237,8 +237,8 @@ def _choose(ranking: Ranking) -> tuple[Fit, MeasuredCurve | None]:
             what = "no scene: a belt that slows under load is not modelled beside a formula"
             raise DataError(what, "--save-scene", "leave it out")
         if fit.law.own_memory:
-            what = f"no scene: rig-sim plays no law with a rate of its own, as law {fit.law.name} has"
-            raise DataError(what, "--save-scene", "leave it out, or fit a published law with memory")
+            what = f"no scene can be written, because rig-sim cannot simulate the custom memory of law {fit.law.name}"
+            raise DataError(what, "--save-scene", "omit it, or fit a published law with memory")
         return fit, None
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.laws import OF_MEMORY, Law, hold_confounded, natural_size
+from fitting.laws import Law, hold_confounded, natural_size
 from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
 from fitting.model import memory_flow, unknowns
 from fitting.model.curves import FrictionCurve
@@ -228,13 +228,13 @@ class MemoryCurve(FrictionCurve):
 
     def __init__(self, law: Law, start: dict[str, float], sizes: Sizes) -> None:
         self.code, self.names, self.formulas = PAIR, law.parameters, None
-        if law.name in OF_MEMORY:
-            self.code = MEMORY_LAWS[law.name].code
-            self.names = BRISTLES if self.code == BRISTLE else RATE_AND_STATE
-            fitted = law
-        else:
+        fitted = law
+        if law.own_memory:
             self.together, fitted = hold_confounded(law, sizes.friction, sizes.speed)
             self.formulas = encode(law, sizes)
+        else:
+            self.code = MEMORY_LAWS[law.name].code
+            self.names = BRISTLES if self.code == BRISTLE else RATE_AND_STATE
         self.law, self.fixed, self.free = law, dict(fitted.fix or {}), fitted.free
         self.size = len(self.free)
         self.prior = self.precision = np.zeros(self.size)

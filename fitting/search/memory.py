@@ -47,7 +47,7 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
     few_cycles = MemoryProblem.of_law(law, [_with_few_cycles(run) for run in steady])
     begun = list(starting_values(law, problem, nearest))
     if not begun:
-        return "no first values of its parameters follow the measured slips; give them as --start"
+        return "no initial values were found that follow the measured slips; set them with --start"
     tasks = [memory_task(law, few_cycles, values) for values, _ in begun]
     starts = [warm_start(task, u) for task, (_, u) in zip(tasks, begun, strict=True)]
     few = settle_from_starts(

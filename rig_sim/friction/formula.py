@@ -43,7 +43,7 @@ INSTEAD = {
     "[": "use round brackets",
     "{": "use round brackets",
     ".": "write a name of letters, digits and _",
-    ";": "write one curve of s; behind a ; a law of --law has the rate of a state, z' = ...",
+    ";": "write one formula; only --law accepts a second one, z' = ..., the rate of a state",
 }
 # Letters that look like a plain one; Unicode's compatibility forms (NFKC) make plain only others, as full-width ones.
 LOOK_ALIKES = str.maketrans(

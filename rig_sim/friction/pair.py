@@ -74,7 +74,8 @@ def evaluate(law: "Array | None", rate: bool, s: float, z: float, width: int) ->
     result = variables + count - 1
     if rate:
         begin, steps, result = begin + 2 * steps, int(law[RATE_STEPS]), result + count
-    top = variables + 3 * count - 1 - count
+    stack = variables + count - 1 + 2 * count
+    top = stack - count
     for i in range(steps):
         do = int(law[begin + 2 * i])
         if do <= NAME:

@@ -1,8 +1,11 @@
 """A law as a formula: what is refused, units of its parameters, and those that it has only together."""
 
+import re
+
 import pytest
 
-from fitting.laws import PUBLISHED, Law, natural_size, undetermined
+from fitting.laws import MEMORY, PUBLISHED, Law, natural_size, read_law, undetermined
+from stickslip.errors import InputError
 
 
 def test_of_parameters_that_enter_only_together_the_first_has_the_unit():
@@ -72,3 +75,30 @@ def test_as_many_are_free_as_the_formula_has_too_many():
     (group,) = undetermined(Law("mine", "Fs*a*b/(1 + s/v)"), 4.6, 0.5)
     assert group.names == ("Fs", "a", "b")
     assert group.free == 2
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        ("mine: F0 + b*log(z); z = 1 - s*z/D", "the part after ; is not the rate of a state z"),
+        ("mine: F0 + b*s; z' = 1 - s*z/D", "formula: that of law mine does not contain the state z"),
+        ("mine: F0 + b*z; z' = 1 - s/D", "rate: that of law mine does not contain the state z"),
+        ("mine: F0 + b*z; z' = 1 - s*z/", "a value is missing at the end"),
+    ],
+)
+def test_a_rate_that_is_none_is_refused(spec, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_law(spec)
+
+
+@pytest.mark.parametrize("law", [MEMORY["lugre"], read_law("mine: F0 + b*z; z' = 1 - s*z/D")])
+def test_a_law_with_memory_has_no_ramp(law):
+    with pytest.raises(InputError, match=f"^ramp: law {law.name} has memory, and no ramp"):
+        law.behind_ramp()
+
+
+def test_a_law_reads_back_as_it_is_written():
+    law = read_law("mine: F0 + b*z; z'= 1 - s*z/D")
+    assert read_law(str(law)) == law
+    assert (law.rate, law.parameters) == ("1 - s*z/D", ("F0", "b", "D"))
+    assert Law("slip", "Fs - G*s").words == "slip"
