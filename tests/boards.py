@@ -7,7 +7,7 @@ board that has restarted; "in_waiting": the port fails when it is asked for its 
 that returns others, or raises.
 
 `BoardPort` is a board at a port of this process, which sends a unit at each read; the others are at the other end of a
-pseudo-terminal, and send as fast as they are read.  ``paced``: in real time.
+pseudo-terminal, and send as fast as they are read.  ``paced``: in real time, or in that of a `Clock`.
 """
 
 import errno
@@ -27,6 +27,7 @@ from daq.wire.frames import Capability
 from daq.wire.quadrature import levels_of
 
 AWAY_S = 0.3
+READ_S = 0.0005  # what a read of a `BoardPort` takes
 LATE_UNITS = 3
 FAULTS = {
     "drop": lambda line: b"",
@@ -45,9 +46,30 @@ UP = np.cumsum(np.maximum(STEPS, 0)) + int(motion(-1))
 DOWN = np.cumsum(np.maximum(-STEPS, 0))  # UP - DOWN is the motion; each of them only rises
 
 
+class Clock:
+    """Stands in for `time`: passes only while someone sleeps, so that a loaded machine changes nothing."""
+
+    def __init__(self):
+        self._now = time.monotonic()
+
+    def monotonic(self):
+        return self._now
+
+    def monotonic_ns(self):
+        return round(1e9 * self._now)
+
+    def time_ns(self):
+        return time.time_ns()
+
+    def sleep(self, seconds):
+        self._now += seconds
+        time.sleep(0)
+
+
 class Board:
     """What a board sends, and what it answers."""
 
+    clock: Any = time
     protocol = ""
     rate_hz = 1000
     unit = 1  # samples
@@ -76,11 +98,11 @@ class Board:
 
     def wait_s(self):
         if self.k == 0:
-            self._began = time.monotonic()
+            self._began = self.clock.monotonic()
         if not self.paced:
             return 0.0
         at, late_s = self.pause
-        return self._began + self.k * self.unit / self.rate_hz + late_s * (self.k >= at) - time.monotonic()
+        return self._began + self.k * self.unit / self.rate_hz + late_s * (self.k >= at) - self.clock.monotonic()
 
     def hear(self, data):
         *lines, self._command = (self._command + data.decode()).split("\n")
@@ -185,11 +207,9 @@ class BoardPort(Frames):
         return len(self.out)
 
     def read(self, size=1):
-        if self.running and not self.out:
-            time.sleep(max(0.0, self.wait_s()))
-            self.out = self.send()
         if not self.out:
-            time.sleep(0.0001)
+            self.clock.sleep(max(0.0, self.wait_s()) if self.running and self.paced else READ_S)
+            self.out = self.send() if self.running else b""
         data, self.out = self.out[:size], self.out[size:]
         return data
 

@@ -27,7 +27,7 @@ from daq.runfile import journal, journal_records, store
 from daq.wire import frames
 from stickslip.errors import DataError, DeviceError, InputError
 
-from ...boards import BoardPort, motion
+from ...boards import BoardPort, Clock, motion
 from ...journals import HEADER, write_journal
 
 CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\n"
@@ -48,7 +48,11 @@ def quick(monkeypatch):
 
 @pytest.fixture
 def attach(monkeypatch):
-    """Put boards behind the port's name, one after the other as it is opened again."""
+    """Put boards behind the port's name, one after the other as it is opened again; time is theirs."""
+    clock = Clock()
+    monkeypatch.setattr(BoardPort, "clock", clock)
+    for module in ("recorder.record", "recorder.reader", "protocols.session", "protocols.frames"):
+        monkeypatch.setattr(f"daq.{module}.time", clock)
 
     def attach(*boards):
         waiting = iter(boards)
@@ -57,6 +61,7 @@ def attach(monkeypatch):
             try:
                 return next(waiting)
             except StopIteration:
+                clock.sleep(reader.REOPEN_EVERY_S)
                 raise DeviceError("no such port", url, "connect the board") from None
 
         monkeypatch.setattr(ports, "open_port", open_port)
@@ -298,14 +303,15 @@ def test_an_identification_that_cannot_be_true_is_refused_and_a_journal_with_one
 
 def test_what_the_recorder_itself_could_not_keep_is_counted(take, monkeypatch):
     monkeypatch.setattr(reader, "QUEUE_READS", 4)
-    append = journal.Writer.append
+    append, sending = journal.Writer.append, board()
 
     def slow(writer, kind, stamp, data):
-        time.sleep(0.002)
+        while kind == journal.RECEIVED and sending.running and sending.sent < 100:
+            time.sleep(0.001)
         append(writer, kind, stamp, data)
 
     monkeypatch.setattr(journal.Writer, "append", slow)
-    found, _ = take(board(), samples=2000)
+    found, _ = take(sending, samples=2000)
     assert found.dropped_bytes > 0
     assert found.samples + found.lost <= 2000
     assert any("was too slow" in warning for warning in found.warnings)
