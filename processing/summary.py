@@ -102,12 +102,12 @@ def format_sentences(motion: SmoothingSummary, *, chosen: bool = False) -> list[
         method_text += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
         method_text += ", chosen from the record" if chosen else ""
     known = math.isfinite(motion.belt_speed)
-    belt = f"belt {motion.belt_speed:.5g} {shown_speed(motion.unit)}" if known else "belt speed unknown"
+    belt = f"belt speed {motion.belt_speed:.5g} {shown_speed(motion.unit)}" if known else "belt speed unknown"
     belt += " (from its own encoder)" if motion.belt_counted else ""
     lines = [
         f"{method_text}; {TIMES[motion.times]}",
         f"{_count(len(motion.sticks), 'stick')} and {_count(len(motion.slips), 'slip')}; {belt}; "
-        f"stuck for {100 * motion.plateau_fraction:.0f} % of the record",
+        f"the mass sticks for {100 * motion.plateau_fraction:.0f} % of the record",
     ]
     if motion.method == "segment" and motion.sticks:
         landing = _median_error([stick.start_sd for stick in motion.sticks])

@@ -245,7 +245,7 @@ def name_better_limit(fit: Fit, others: Sequence[Fit]) -> str | None:
         limit = fit.law.contains(other.law) if fit.law.has_kernel else contained(fit.law, other.law)
         worse = fit.geometric_mean_rms > WORSE * other.geometric_mean_rms
         if limit and (worse or fit.rms > WORSE * other.rms):
-            return f"its fit errs more than law {other.law.name}"
+            return f"its residual is larger than that of law {other.law.name}, which it contains"
     return None
 
 
