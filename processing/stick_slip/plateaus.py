@@ -52,7 +52,11 @@ def common_speed(motion: Motion, plateaus: list[tuple[int, int]]) -> float:
         return math.nan
     velocity = np.concatenate([motion.velocity[i : j + 1] for i, j in plateaus])
     error = median_value(np.concatenate([motion.velocity_errors[i : j + 1] for i, j in plateaus]))
-    mode = half_sample_mode(velocity[:: max(velocity.size // 2**12, 1)])
+    # A long lull between swings must not outweigh the sticks: no plateau counts for more than the usual one.
+    usual = int(np.median([j + 1 - i for i, j in plateaus]))
+    strides = [max((j + 1 - i) // usual, 1) for i, j in plateaus]
+    alike = np.concatenate([motion.velocity[i : j + 1 : by] for (i, j), by in zip(plateaus, strides, strict=True)])
+    mode = half_sample_mode(alike[:: max(alike.size // 2**12, 1)])
     near_mode = np.abs(velocity - mode) <= 3 * error
     return float(velocity[near_mode].mean()) if near_mode.any() else mode
 

@@ -69,3 +69,12 @@ def test_a_parked_counter_that_drifts_is_reported(recorded, motion, counts_per_s
     assert made.findings[0].value == pytest.approx(counts_per_second * 7.67e-6, rel=0.02)
     assert made.findings[0].sigmas > 100
     assert smooth(recorded(motion(5, 6.0))).findings == ()
+
+
+def test_swings_before_the_first_stick_do_not_hide_the_sticks(recorded, motion):
+    true = motion(5, 20.0)
+    swing = 1e-3 * np.sin(2 * np.pi * np.arange(25_000) * 1e-3)  # flat, beside the accelerations of the slips
+    x = np.concatenate((swing, true.x - true.x[0]))
+    made = smooth(recorded(replace(true, time=np.arange(x.size) * 1e-3, x=x, v=np.gradient(x, 1e-3))))
+    assert len(made.sticks) == len(true.sticks)
+    assert made.belt_speed == pytest.approx(smooth(recorded(true)).belt_speed, rel=0.01)
