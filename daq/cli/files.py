@@ -117,12 +117,7 @@ def replay(
             flag = "--dir" if name == "direction" else f"--{name.replace('_', '-')}"
             raise InputError(f"{flag} applies only to .sr captures, but this file is a {kind}", str(source), "omit it")
     if kind == "journal":
-        from daq.finalise import run as finalise
-        from daq.runfile import journal
-
-        markers = journal.read_markers(journal.markers_path(source))
-        run, summary = finalise.run_data(journal.read(source), markers, "daq replay")
-        extra = summary.as_json()
+        run, extra = replaying.finalise_journal(source)
     else:
         run = replaying.decode_run(source)
         extra = replaying.count_faults(run) | {"warnings": [], "clock_ppm": run.clock_ppm}

@@ -141,6 +141,12 @@ class Column:
         return cast(NDArray[Any], self)
 
 
+def in_memory(value: T) -> T:
+    """Return a dataclass with arrays in place of its columns."""
+    columns = {name: item[:] for name, item in vars(value).items() if isinstance(item, Column)}
+    return cast(T, replace(cast(Any, value), **columns))
+
+
 class Shelf(Generic[T]):
     """Values of a dataclass, in order; their arrays are put aside, those of ``labels`` are empty."""
 

@@ -10,7 +10,7 @@ import pytest
 from daq.cli.app import app
 from daq.imports import capture, replay, sigrok
 from daq.imports.options import ProbeOptions
-from daq.runfile import journal, store
+from daq.runfile import journal, spill, store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from daq.wire import frames
@@ -161,12 +161,15 @@ def test_a_run_is_decoded_anew_from_its_raw_counters(part, tmp_path):
     assert (before.default, after.default) == ("smooth", "data")
 
 
-def test_another_calibration_moves_positions_and_no_raw_data(part, tmp_path):
+@pytest.mark.parametrize("memory", [spill.MEMORY_BYTES, 100])
+def test_another_calibration_moves_positions_and_no_raw_data(part, tmp_path, monkeypatch, memory):
+    monkeypatch.setattr(spill, "MEMORY_BYTES", memory)  # of a journal; the rest is in a file
     rig = tmp_path / "rig.toml"
     rig.write_text("[rig]\nmass = 0.5\n[encoder]\nmetres_per_count = 2e-5\n")
     first, second = tmp_path / "a.h5", tmp_path / "b.h5"
     assert application.run(app, ["replay", str(part), "-o", str(first)]) == 0
-    assert application.run(app, ["replay", str(first), "-o", str(second), "--rig", str(rig)]) == 0
+    for source in (part, first):
+        assert application.run(app, ["replay", str(source), "-o", str(second), "--rig", str(rig), "--force"]) == 0
     before, after = store.load(first), store.load(second)
     np.testing.assert_allclose(after.position, 2 * (before.position - 0.001), rtol=1e-12)
     assert after.rig.mass == Measured(0.5)
