@@ -131,11 +131,6 @@ def test_arguments_take_units():
     assert Law("mine", "Fs*exp(-s/v_s)", start={"v_s": "30 mm/s"}).start == {"v_s": 0.03}
 
 
-def test_bounds_may_be_open():
-    found = Competitors.typed("5", bound=["gamma=2:", "k/m=:40"]).of_law(SIX[5])
-    assert found == {"gamma": Given(2.0, math.inf), "k/m": Given(-math.inf, 40.0)}
-
-
 def test_the_slope_of_a_linear_law_is_given_to_its_formula():
     found = Competitors.typed("3-5", fix=["G_slip=0.6"])
     assert [law.key for law in found.laws if found.by_kernel(law)] == [5]

@@ -62,10 +62,6 @@ def test_sizes_are_above_0_beside_a_measured_curve_below_0():
     assert [natural_size(law, name, -38.0, 0.5) for name in ("Fs", "v_s", "Fv")] == [38.0, 0.5, 76.0]
 
 
-def test_a_fixed_parameter_leaves_the_other_determined():
-    assert undetermined(Law("mine", "a*b/(1 + gamma*s)", fix={"b": 1.0}), 4.6, 0.5) == ()
-
-
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_published_forms_are_determined(name):
     assert undetermined(PUBLISHED[name], 4.6, 0.5) == ()

@@ -42,11 +42,6 @@ def test_a_level_above_that_of_slip_is_named_and_its_growth_is_seen():
     assert "grows" in growing.text
 
 
-def test_a_level_below_that_of_the_law_at_rest_is_named_too():
-    (low,) = found_in(np.full(20, 0.8), np.geomspace(0.1, 2.0, 20))
-    assert low.value == pytest.approx(1.6, abs=0.01)
-
-
 @pytest.mark.parametrize(
     ("ratio", "count", "error", "named"),
     [

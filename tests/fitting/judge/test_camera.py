@@ -19,12 +19,6 @@ def track(belt_rig, tmp_path):
     return of
 
 
-@pytest.mark.parametrize("decimals", [4, 6])
-def test_the_resolution_of_a_table_is_its_noise_whatever_was_printed(track, decimals):
-    # It was the last printed decimal: 0.03 mm or 0.3 um here.
-    assert in_frame(smooth(track(5, 1e-3, decimals=decimals))).resolution == pytest.approx(1e-3, rel=0.1)
-
-
 def test_a_start_at_rest_is_seen_and_no_ripple_under_a_millimetre_of_noise(track):
     # Noise in the velocity hid the rest, and the best of many frequencies passed for a ripple of the belt.
     run = cut(smooth(track(5, 1e-3)))

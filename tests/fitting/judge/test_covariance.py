@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from daq.runfile.rig import Rig
-from fitting.judge.parameters import correlations, covariance, derived_parameters, remove_level_errors
+from fitting.judge.parameters import covariance, derived_parameters, remove_level_errors
 from fitting.laws import SIX
 from fitting.least_squares.normal_equations import NormalEquations
 from fitting.search.exchange import fit_laws
@@ -128,20 +128,3 @@ def test_correlations_give_the_error_of_a_ratio(ranked_alone):
     assert found.matrix == pytest.approx(found.matrix.T, abs=1e-12)
     assert np.diag(found.matrix) == pytest.approx(np.ones(len(found.names)))
     assert set(found.names) == {"k/m", "Fs/m", "v_dr", "gamma", "x0", "c/m"}
-
-
-def test_an_uncertain_length_correlates_what_has_a_length_in_its_unit(ranked_alone):
-    ranking = ranked_alone(5, law=5)
-    found = correlations(ranking.best.fit, replace(ranking.motion, length_error=0.5))
-    place = {name: k for k, name in enumerate(found.names)}
-    assert found.matrix[place["Fs/m"], place["v_dr"]] == pytest.approx(1.0, abs=0.01)
-    assert found.matrix[place["gamma"], place["v_dr"]] == pytest.approx(-1.0, abs=0.01)
-    assert abs(found.matrix[place["k/m"], place["v_dr"]]) < 0.1
-
-
-def test_correlations_are_withheld_with_the_intervals(ranked_alone):
-    ranking = ranked_alone(5, law=5)
-    best = ranking.best
-    withheld = {name: replace(item, trusted=False) for name, item in best.parameters.items()}
-    assert replace(ranking, rows=(replace(best, parameters=withheld),)).as_json()["correlations"] is None
-    assert ranking.as_json()["correlations"]["parameters"] == list(ranking.correlations().names)

@@ -67,14 +67,6 @@ def test_runs_of_one_contact_share_all_but_their_belts(law_five):
         assert run.best.parameters["k/m"] == law_five.best.parameters["k/m"]
 
 
-def test_one_run_in_a_list_is_that_run(runs_of):
-    run = runs_of(5, 2)[1]
-    alone, listed = rank(run, laws=(5,)), rank([run], laws=(5,))
-    assert listed.runs == ()
-    assert listed.best.parameters == alone.best.parameters
-    assert listed.verdict == alone.verdict
-
-
 @pytest.mark.slow
 def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(simulated):
     changes = ("droop.fraction=0.01", "friction.law=5")
@@ -194,14 +186,6 @@ def test_no_joint_fit_replaces_one_of_its_runs(files, tmp_path):
         command.fit(first, other, laws="5", no_report=True, force=True)
 
 
-def test_reports_of_a_batch_are_numbered(files, tmp_path):
-    assert [place.name for place in page.report_paths(files, tmp_path / "all.html")] == [
-        "all.html",
-        "all-2.html",
-        "all-3.html",
-    ]
-
-
 def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
     with drawing.look():
         shown = (pictures.cycle, pictures.record, pictures.residuals, pictures.break_aways)
@@ -219,13 +203,6 @@ def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_f
         speed = side.best.parameters["v_dr"]
         assert f"<p>run {number}: " in text
         assert f"belt {speed.value:.{speed.decimals}f} ± {speed.stderr:.{speed.decimals}f} m/s" in text
-
-
-def test_a_run_named_twice_is_refused(files, tmp_path):
-    same = tmp_path / "same.h5"
-    shutil.copy(files[0], same)
-    with pytest.raises(InputError, match="named twice"):
-        command.fit(same, same)
 
 
 @pytest.mark.slow

@@ -71,14 +71,6 @@ def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(belt_rig, tmp_pa
 
 
 @pytest.mark.usefixtures("no_rivals")
-@pytest.mark.parametrize("law", [5, pytest.param(3, marks=pytest.mark.slow)])
-def test_nominal_disturbances_leave_the_verdict_right(belt_rig, law):
-    ranking = rank(smooth(belt_rig.recording(belt_rig.nominal(law, 4, duration=12.0))))
-    assert law in ranking.laws_in_set
-    assert ranking.best.law == law
-
-
-@pytest.mark.usefixtures("no_rivals")
 def test_a_fast_sampled_record_has_the_same_units_for_every_law(smoothed):
     # laws that a coarse fit had ruled out had fewer samples in a cycle than the best law had units: a ValueError
     assert rank(smoothed(law=5, rate=6000.0, duration=8.0, scatter=0.0, jitter=0.0)).laws_in_set == (5,)
@@ -112,17 +104,6 @@ def test_a_ramp_that_breaks_away_above_the_level_of_slip(ranked_alone, law, stat
     assert found["static"].value == pytest.approx(static, rel=0.04)
     assert found["d"].value == pytest.approx(0.03, rel=0.03)
     check_intervals(found, {"static": static, "d": 0.03, "v_dr": 0.22})
-
-
-@pytest.mark.usefixtures("no_rivals")
-def test_a_bare_track_without_any_calibration_still_finds_its_law(belt_rig):
-    recording = belt_rig.recording(law=5, duration=12.0)
-    bare = replace(recording.rig, belt_speed=None, datum=None, damping=None, mass=None)
-    ranking = rank(smooth(replace(recording, rig=bare)), laws=(3, 5, 6))
-    assert ranking.laws_in_set[0] == 5
-    assert "Fs" not in ranking.best.parameters
-    for missing in ("x0 was not given", "mass is not known"):
-        assert any(missing in warning for warning in ranking.warnings)
 
 
 def test_constant_friction_without_its_start_up_drag_is_refused(smoothed):

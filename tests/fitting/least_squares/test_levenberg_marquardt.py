@@ -174,17 +174,6 @@ def test_a_start_that_cannot_be_followed_gives_none_and_steps_there_are_refused(
     assert math.isfinite(found.cost)
 
 
-def test_a_bent_valley_is_followed_in_few_steps():
-    # u1 must follow exp(2 u0) along a floor far flatter than its walls
-    def evaluate(u, local, derivatives):
-        wall = 1e2 * (u[1] - math.exp(2 * u[0]))
-        return np.array([wall, u[0] - 2.0]), np.array([[-2e2 * math.exp(2 * u[0]), 1e2, 0.0], [1.0, 0.0, 0.0]])
-
-    task = problem(evaluate, (slice(0, 2),), 2, 1, local_precision=np.ones((1, 1)))
-    found = minimise(task, [0.0, 1.0], max_steps=70, tolerance=1e-12)
-    assert found.u == pytest.approx([2.0, math.exp(4.0)], rel=1e-6)
-
-
 def of_one_unknown_each(residual, slopes, precision, **changes):
     """Return a problem of one shared unknown and one of each cycle's own; functions of (u, l), also of some cycles."""
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting.model import path
-from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP, Drag
+from fitting.model.flow import CREEP, Drag
 from fitting.model.path import Curve, FrictionSpline, follow, positions, spline_curve
 from fitting.model.tangents import local_tangents, shared_tangents, tangents
 from fitting.model.unknowns import Global, PerCycle
@@ -84,16 +84,6 @@ def test_a_steep_ramp_takes_few_steps(one_window, stick):
     """A ramp of 1 mm/s took 47 steps a sample, and a record whose law had one 80 s."""
     arguments = followed(one_window, ramp=True, changes={"d": 1e-3}, shape={"stick": stick})
     assert follow(*arguments).steps.shape[0] < 2 * arguments[0].time.size
-
-
-@pytest.mark.parametrize("longest", [LONGEST_STEP, SEARCH_STEP])
-def test_a_ramp_that_one_step_crosses_is_left_on_its_other_side(one_window, longest):
-    """The mass went back to the edge that it came from, until it had changed its mode 200 times and was given up."""
-    windows, fast = one_window(), np.array([[0.149, V + 1e-3, 0.0, 0.0, 0.0, 0.0]])
-    u = unknowns(log_f=np.log(0.583), d=4.4e-7)
-    narrow = follow(windows, Curve(CONSTANT, True), u, fast, longest_step=longest)
-    jump = follow(windows, Curve(CONSTANT, False), u, fast)
-    assert narrow.model == pytest.approx(jump.model, abs=1e-6)
 
 
 def start(x, v, stick=False, level=1.0, following=1.0):
@@ -184,14 +174,6 @@ def test_a_spline_that_is_a_line_moves_as_the_linear_law(one_window, ramp, compl
 def slope(model, h=1e-5):
     """Return the central difference of ``model(h)`` at 0."""
     return (model(h) - model(-h)) / (2 * h)
-
-
-def test_tangents_of_the_fade_are_differences(one_window):
-    windows, curve = one_window(), Curve(HYPERBOLIC, False)
-    found = shared_tangents(follow(windows, curve, unknowns(fade=0.02), SLIP), [Global.FADE])[:, 0]
-    expected = slope(lambda h: follow(windows, curve, unknowns(fade=0.02 + h), SLIP).model)
-    assert np.abs(found).max() > 1e-3  # m per 1/s
-    assert found == pytest.approx(expected, abs=1e-3 * np.abs(found).max())
 
 
 def test_a_force_and_a_change_of_the_belt_besides_are_followed_and_have_their_tangents(one_window):

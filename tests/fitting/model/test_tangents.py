@@ -11,7 +11,7 @@ from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP
 from fitting.model.path import Curve, follow
 from fitting.model.tangents import local_tangents, shared_tangents
 from fitting.model.unknowns import Global, PerCycle
-from rig_sim.flow.modes import NEGATIVE, RAMP, STICK
+from rig_sim.flow.modes import STICK
 
 from .exact_flow import HYPERBOLIC, LINEAR, F, K, exact_positions, unknowns
 
@@ -200,15 +200,3 @@ def test_friction_in_stick_carries_the_mass_along_with_a_rippling_belt(one_windo
     speed, change = np.array([belt(slip.u, t) for t in path.time]).T
     expected = change + K * path.position + 0.03 * speed
     assert path.friction == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize("static", [1.0, 1.2])
-@pytest.mark.parametrize("d", [0.03, 1e-3, 1e-5])
-def test_a_tangent_jumps_off_a_ramp_only_where_friction_drops(one_window, static, d):
-    """It jumped by the ratio of two rounding errors where friction is continuous."""
-    slip = Slip(static - 0.05, 0.95 * d, {"d": d, "static": static})
-    path = follow(window_of(one_window, slip), Curve(HYPERBOLIC, True), slip.u, slip.local)
-    first = path.steps[:, 0]
-    ends = np.flatnonzero((path.mode[first[:-1]] >= RAMP) & (path.mode[first[1:]] == NEGATIVE))
-    assert ends.size == 1
-    assert np.all(path.jumps[ends] == 0.0) == (static == 1.0)

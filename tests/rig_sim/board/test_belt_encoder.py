@@ -33,33 +33,6 @@ def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[n
     return np.concatenate(counts) * belt.delta, np.concatenate(x), np.concatenate(F)
 
 
-def test_a_rippling_belt_counts_its_swing() -> None:
-    t = np.arange(0.0, 3.0, 1e-3)
-    travel, _, _ = played(scene("rig", **CHANNEL, **{"belt.ripple": 0.01, "belt.ripple_hz": 5.0}), t)
-    run = np.maximum(t - 0.5, 0.0)
-    expected = 0.22 * run + 0.01 / (10 * math.pi) * (1 - np.cos(10 * math.pi * run))
-    np.testing.assert_allclose(travel, expected, atol=2e-5 * DELTA)
-
-
-def test_in_stick_mass_and_drooping_belt_move_together_to_a_thousandth_of_a_count() -> None:
-    t = np.arange(0.0, 6.0, 1e-3)
-    drooping = scene("rig", **CHANNEL, **{"droop.fraction": 0.05, "scatter.Fs": 0.1, "joint.kick": 0.004})
-    found = ScenePlayer(drooping)
-    found.events = []
-    found.advance(6.0)
-    travel, x, _ = played(drooping, t, (800, 801, 4000))
-    sticks = [
-        (begin.t, end.t)
-        for begin, end in zip(found.events, found.events[1:], strict=False)
-        if begin.kind == "N>S" and end.kind.startswith("S>")
-    ]
-    assert len(sticks) >= 3
-    for begin, end in sticks:
-        own = (t > begin) & (t < end)
-        assert own.sum() > 300
-        assert np.ptp((travel - x)[own]) < 1e-3 * DELTA
-
-
 @pytest.mark.parametrize(
     "changes",
     [

@@ -57,11 +57,6 @@ def test_a_loss_follows_the_cubic_over_its_samples() -> None:
     assert cog.losses == []
 
 
-def test_a_mass_at_rest_loses_nothing() -> None:
-    still: dict[str, object] = {"belt.start": 100, **LOSSES, "slip_loss.rate": 50}
-    assert np.ptp(record(SimulatedBoard(scene("rig", **still)), 3000).net) == 0
-
-
 def test_the_exact_motion_sent_is_the_mass_not_the_slipping_cog() -> None:
     sent = [
         np.array(

@@ -95,13 +95,6 @@ def test_the_multiplier_of_a_ramp_is_the_slope_of_its_return_map(law):
     assert orbit.multipliers[1] == pytest.approx(slope, rel=2e-3)
 
 
-def test_backward_belts_mirror_orbit_and_letters():
-    one, other = (floquet(damped(0.45, v_belt=v), "unstable") for v in (0.6, -0.6))
-    assert other.multipliers == pytest.approx(one.multipliers, rel=1e-9)
-    assert (other.x_min, other.x_max) == (-one.x_max, -one.x_min)
-    assert (one.sequence, other.sequence) == ("N", "P")
-
-
 @pytest.mark.parametrize(
     ("flow", "which", "outcome", "words"),
     [
