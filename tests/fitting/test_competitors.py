@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from fitting.judge.calibrations import apply_to_formula
-from fitting.laws import ALL_LAWS, PUBLISHED, SIX, Competitors, Given, Law, read_law
+from fitting.laws import PUBLISHED, SIX, Competitors, Given, Law, read_law
 from stickslip.errors import InputError
 
 
@@ -16,15 +16,6 @@ def test_laws_are_numbers_published_names_and_formulas():
     assert [law.ramp for law in found.formulas] == [False, False, True]
     same = Competitors.of(("1-3", 6, "stribeck", "power", Law("mine", "Fs/(1 + s/v)", ramp=True)))
     assert same.laws == found.laws
-
-
-@pytest.mark.parametrize(
-    ("laws", "expected"), [(5, (SIX[5],)), ("stribeck", (PUBLISHED["stribeck"],)), (ALL_LAWS, tuple(SIX.values()))]
-)
-def test_one_law_need_not_be_in_a_list(laws, expected):
-    """``laws=5`` used to end in "'int' object is not iterable"."""
-    found = Competitors.of(laws)
-    assert found.laws == expected
 
 
 def test_a_name_alone_is_that_of_every_law_that_has_it():

@@ -14,10 +14,8 @@ from fitting.judge.departures import (
     find_best_scale,
     find_candidates,
     fit_departure,
-    linear_steps,
 )
 from fitting.judge.library import DEPARTURES
-from fitting.model.forces import Forcing
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -107,18 +105,6 @@ def test_a_force_by_the_velocity_that_would_push_is_not_shown(base_of, monkeypat
     names = {candidate.departure.name for candidate in find_candidates(base_of(), 0.0)}
     assert "spring-nonlinear" in names
     assert ("guide-friction" in names) == ("drag-quadratic" in names) == shown
-
-
-def test_a_column_that_the_fit_adjusts_explains_nothing_and_two_alike_end_in_no_error(base_of):
-    base = base_of()
-
-    def gain(columns):
-        departure = SimpleNamespace(columns=columns.shape[1], forcing=lambda *_: Forcing(reading=columns))
-        return float(linear_steps(base, departure, np.array([math.nan]))[1][0])
-
-    assert gain(base.linear.derivatives.columns(slice(1)) * 3.0) == 0
-    column = np.sin(np.arange(base.linear.residual.size) * 0.01)[:, np.newaxis]
-    assert np.isfinite(gain(np.hstack([column, column])))
 
 
 def test_a_known_revolution_is_not_scanned(base_of):

@@ -83,15 +83,6 @@ def test_a_noise_free_run_is_fitted_to_its_counts(ranked_alone):
         assert row.parameters[name].value == pytest.approx(TRUE[name], rel=near)
 
 
-@pytest.mark.slow
-def test_static_and_kinetic_levels_are_separate(ranked):
-    ranking = ranked(law=5, static=1.3)
-    assert ranking.laws_in_set == (5,)
-    events = [event for event in ranking.events if not event.flag]
-    ratio = [event.break_away_level / event.kinetic_scale for event in events]
-    assert ratio == pytest.approx([1.3] * len(events), rel=5e-3)
-
-
 @pytest.mark.parametrize(
     ("law", "static"),
     [(4, 1.2), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2, 1.1), (6, 1.3), (6, 1.8)))],

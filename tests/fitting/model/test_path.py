@@ -1,7 +1,6 @@
 """The stepped path: positions of the exact flow and in closed form, forces besides, and a spline that is a law."""
 
 import tracemalloc
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from fitting.model.flow import CREEP, Drag
 from fitting.model.path import Curve, FrictionSpline, follow, positions, spline_curve
 from fitting.model.tangents import local_tangents, shared_tangents, tangents
 from fitting.model.unknowns import Global, PerCycle
-from fitting.model.windows import ShootingWindows
 
 from .exact_flow import CONSTANT, HYPERBOLIC, LINEAR, F, K, V, exact_positions, unknowns
 
@@ -135,19 +133,6 @@ def test_fading_lowers_the_level_as_a_smaller_level_would(one_window):
         v += 0.5 * h * (F * (1 - fade * (t + h)) - K * x)
         motion.append(x)
     assert worn == pytest.approx(np.array(motion)[::1000], abs=6e-6)  # at four times the nominal wear
-
-
-def test_some_cycles_are_predicted_as_among_all(one_window):
-    parts = [one_window(seconds=0.5, rate=100.0), one_window(stick=1, seconds=0.4, rate=100.0), one_window(rate=26.0)]
-    windows = ShootingWindows.join(parts)
-    windows = replace(windows, table=windows.table * [1, 1, 1, 1, 1, 0], parts=())  # three cycles of one run
-    u = unknowns(d=0.03, fade=0.001, compliance=0.02)
-    local = np.vstack([start(0.12, 0.15), start(-0.1, 0.2, stick=True), start(0.1, 0.05, level=1.1)])
-    cycles = np.array([0, 2])
-    position = positions(windows, Curve(HYPERBOLIC, True), u, local)
-    own = positions(windows.of_cycles(cycles), Curve(HYPERBOLIC, True), u, local[cycles])
-    assert np.array_equal(own, position[np.r_[0:50, 90:121]])
-    assert windows.of_cycles(cycles).rows == (slice(0, 50), slice(50, 81))
 
 
 def spline_of(function, fastest=0.9, pieces=13):
