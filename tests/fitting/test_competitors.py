@@ -91,9 +91,10 @@ def test_what_cannot_be_is_refused(typed, said):
         (6, {"bound": ["d=:30 mm/s"]}, {"d": Given(high=0.03)}),
         (6, {"bound": ["d=1 mm/s:3 cm/s"]}, {"d": Given(0.001, 0.03)}),
         (5, {"fix": ["x0=60 mm"]}, {"x0": Given(0.06, 0.06, 0.06)}),
+        (5, {"bound": ["gamma=2:", "k/m=:40"]}, {"gamma": Given(2.0, math.inf), "k/m": Given(-math.inf, 40.0)}),
     ],
 )
-def test_values_take_units(law, typed, expected):
+def test_values_take_units_and_bounds_may_be_open(law, typed, expected):
     assert Competitors.typed(str(law), **typed).of_law(SIX[law]) == expected
 
 

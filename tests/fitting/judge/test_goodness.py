@@ -123,6 +123,7 @@ def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(ranked_alone):
     for item in document["ranking"][0]["parameters"].values():
         assert item["lo"] is item["hi"] is item["stderr"] is None
         assert np.isfinite(item["value"])
+    assert document["correlations"] is None
     assert job.exit_code(document) == 6
 
 

@@ -66,7 +66,7 @@ def test_no_stick_slip_is_never_ranked(smoothed_stranger, name, known, seed):
         rank(kinematics)
 
 
-@pytest.mark.parametrize("seed", [0, 1, pytest.param(3, marks=pytest.mark.slow), 4, 5])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_mass_that_swings_without_sticking_shows_no_stick(smoothed_stranger, seed):
     """Lulls and turning points were up to 14 sticks "at the belt's speed", a small part of the speed of the swings.
 
@@ -228,7 +228,7 @@ def driven(belt, gamma=9.6, c=0.02, seconds=40.0, Fs=1.3):
 
 @pytest.mark.parametrize(
     ("pause", "back"),
-    [(20.0, 20.0), (20.0, 24.0), (30.0, 31.0), (9.0, 12.0)],
+    [(20.0, 20.0), (9.0, 12.0)],
 )
 def test_a_belt_that_reverses_is_named_with_the_time(pause, back):
     """Used to be "the mass slips back at constant speed, which a spring cannot cause"."""

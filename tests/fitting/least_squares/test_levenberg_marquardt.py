@@ -23,7 +23,7 @@ def in_one_block(evaluate):
     return wrapped
 
 
-def problem(evaluate, rows=ROWS, shared=SHARED, own=LOCAL, some=None, **changes):
+def problem(evaluate, rows=ROWS, shared=SHARED, own=LOCAL, **changes):
     """Return a problem without bounds and priors but those given, whose ``evaluate`` returns plain arrays."""
     cycles = len(rows)
     values = {
@@ -35,8 +35,7 @@ def problem(evaluate, rows=ROWS, shared=SHARED, own=LOCAL, some=None, **changes)
         "local_prior": np.zeros((cycles, own)),
         "local_precision": np.full((cycles, own), 1e-12),
     }
-    some = some and (lambda u, cycles, some=some: in_one_block(some(u, cycles)))
-    return LeastSquaresProblem(in_one_block(evaluate), rows, evaluate_cycles=some, **values | changes)
+    return LeastSquaresProblem(in_one_block(evaluate), rows, evaluate_cycles=None, **values | changes)
 
 
 def minimise(task, u=0.0, local=0.0, **how):

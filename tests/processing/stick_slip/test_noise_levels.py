@@ -17,3 +17,4 @@ def test_sticks_that_are_read_far_better_than_slips_leave_variances_positive(mot
     found = processing.smooth(imported(np.round(true.time[thin], 9), np.round(true.x[thin], 9), rate))
     assert abs(len(found.sticks) - len(true.sticks)) <= 1
     assert np.isfinite(found.velocity).all()
+    assert found.faults == ()
