@@ -187,20 +187,6 @@ def test_a_data_set_has_samples_parameters_and_curve(ranking):
     assert found.sizes["speed"] == len(ranking.curve)
 
 
-@pytest.mark.slow
-def test_report_and_scene_are_those_of_the_command(ranking, tmp_path, capsys):
-    path = shutil.copy(RUN, tmp_path / "law5.h5")
-    line = [str(path), "--laws", "5", "--law", f"mine: {MINE}", "--save-scene", str(tmp_path / "typed.toml"), "--json"]
-    application.run(cli.app, line)
-    capsys.readouterr()
-    scene, page = ranking.save_scene(tmp_path / "rig.toml"), ranking.report(tmp_path / "page.html")
-    assert scene.read_text() == (tmp_path / "typed.toml").read_text()
-    changing = r"\d+\.\d+ s|\d{4}-\d\d-\d\d [\d:+]+"  # costs, and when it was made
-    pages = [re.sub(changing, "", made.read_text()) for made in (page, tmp_path / "law5.report.html")]
-    assert len(pages[0]) == pytest.approx(len(pages[1]), rel=0.01)
-    assert ranking.verdict.split(":")[0] in pages[0]
-
-
 def test_a_picture_goes_into_axes_that_are_given(ranking):
     from matplotlib.figure import Figure
 

@@ -75,12 +75,6 @@ def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(si
     assert rank(runs, laws=(5, 6)).laws_in_set == (5,)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("law", [1, 2])
-def test_constant_friction_is_told_by_the_drags_of_all_runs(runs_of, law):
-    assert rank(runs_of(law, 3, kick=0.0)).laws_in_set == (law,)
-
-
 def test_runs_that_stick_and_runs_that_graze_are_not_one_contact(runs_of):
     with pytest.raises(DataError, match="but other runs have"):
         rank([runs_of(5, 2)[1], runs_of(1, 3, kick=0.0)[1]])
@@ -214,16 +208,6 @@ def test_several_processes_give_the_same_ranking_to_the_last_bit(smoothed):
             assert getattr(one, name) == getattr(other, name)
         assert (one.fit.residual == other.fit.residual).all()
     assert alone.verdict == side_by_side.verdict
-
-
-@pytest.mark.slow
-def test_runs_of_two_contacts_accuse_no_rest_position_that_each_agrees_with(belt_rig):
-    # Without x0 a Stribeck curve came near both, each with a rest position of its own, and x0 was "contradicted" twice.
-    contacts = [belt_rig.Contact(Fs=1.1, gamma=9.6, belt=0.1), belt_rig.Contact(Fs=1.5, gamma=4.5, belt=0.2, seed=2)]
-    contacts = [replace(contact, c=0.02, scatter=0.03, duration=20.0) for contact in contacts]
-    runs = [belt_rig.by_encoder(contact) for contact in contacts]
-    ranking = rank(runs, laws=(5, "stribeck-viscous"), mass=0.3, x0=(1e-4, 1e-4))
-    assert {finding.code for finding in ranking.findings} == {"not-one-contact"}
 
 
 @pytest.mark.slow

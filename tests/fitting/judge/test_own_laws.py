@@ -15,7 +15,6 @@ from daq.runfile.rig import Rig
 from fitting import job, rank
 from fitting.judge.parameters import RUN_PARAMETERS
 from fitting.laws import SIX
-from fitting.report import page
 from processing.smoothing import smooth
 from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
@@ -250,18 +249,6 @@ def test_runs_are_fitted_together_with_a_formula(smoothed):
     assert "mine" in document["runs"][0]["rms_by_law"]
     with pytest.raises(InputError, match="a joint fit does not accept one belt speed for all runs"):
         rank(runs, laws=(5,), fix={"v_dr": 0.2})
-
-
-def test_the_report_draws_a_formula_in_every_picture(won):
-    text = page.render(won.ranking)
-    assert "does law mine" in text
-    assert "Parameters of law mine" in text
-    # in each row of the ranking, and with every formula
-    assert text.count("<math>") > len(won.ranking.as_json()["ranking"])
-    pictures = text.split("<svg ")[1:]
-    named = [one for one in pictures if "law mine" in one or ">mine" in one]
-    # all but the break-away levels, which are of the record
-    assert len(named) >= 6
 
 
 @pytest.fixture

@@ -46,18 +46,6 @@ def test_constant_friction_is_told_apart_by_the_start_up_drag(ranked, law):
     assert any("only the drag at the start-up" in text for text in ranking.warnings)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("no_rivals")
-def test_a_linear_ramp_without_datum_and_scatter_leaves_the_belt_speed_open(belt_rig, tmp_path):
-    # v_dr was 0.194 with an interval of 0.008, of 0.22; and a law without a piece of even samples ended in a traceback
-    scene = belt_rig.Scene(law=4, scatter=0.0, jitter=0.0, delta=2e-6, duration=10.0, G_slip=0.3)
-    time, _, position = belt_rig.sampled(scene)
-    ranking = rank(smooth(belt_rig.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(3, 4))
-    assert 4 in ranking.laws_in_set
-    check_intervals(ranking.row(4).parameters, {"v_dr": 0.22})
-    assert "Fs/m" not in ranking.row(4).parameters
-
-
 def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(belt_rig, tmp_path):
     # nothing held the belt's speed: 265685 +- 160 m/s was stated
     time, position = belt_rig.camera(1, 1.5e-5, duration=6.0, K=330.0, belt=6.0, damping=0.07, scatter=0.0)
@@ -124,16 +112,6 @@ def test_a_gap_costs_its_cycle_and_no_more(belt_rig):
     assert ranking.laws_in_set == (5,)
     assert [event.flag for event in ranking.events if event.flag] == ["gap"]
     assert any("excludes these cycles: 2 (gap)" in warning for warning in ranking.warnings)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("no_rivals")
-@pytest.mark.parametrize(("law", "slope"), [(3, 0.1), (4, 0.15)])
-def test_short_sticks_are_sticks(simulated, law, slope):
-    # The mass sticks for a tenth of its period only; constant friction leaves 170 times what counting explains.
-    ranking = rank(simulated(f"friction.law={law}", f"friction.G_slip={slope}", "scatter.Fs=0.01"))
-    assert law in ranking.laws_in_set
-    assert ranking.best.fit.geometric_mean_rms < 5e-6
 
 
 NOISE = 0.1 * np.random.default_rng(4).standard_normal(12)

@@ -188,14 +188,6 @@ def test_bristles_without_falling_friction_give_their_parameters():
     assert np.all(sd < [0.001, 0.004, 0.03])
 
 
-def test_bristles_of_any_stiffness_can_be_followed():
-    """Their derivatives diverged at a presliding of 1e-9 m: fits ended as "its motion cannot be followed"."""
-    task, start = first_start(MEMORY["lugre"], "lugre")
-    q = np.concatenate([start.q[: len(task.places)], np.log([2e9, 1.6e4, 0.43, 1.66, 0.165])])
-    model = task.predict(task.problem.windows(thinned=True), 1.0)
-    assert np.all(np.isfinite(model.all_derivatives(q, start.local).columns()))
-
-
 @pytest.mark.parametrize("values", [{"F0": 4.0, "a": 0.1, "b": 0.35}, {"F0": 0.4, "a": 0.35, "b": 0.1}])
 def test_steady_friction_is_positive_at_any_speed(values):
     """The formula is negative at small speeds where a > b: its logarithm ended the fit with an error."""

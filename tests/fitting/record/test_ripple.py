@@ -84,15 +84,6 @@ def test_frequency_and_amplitude_are_found(simulated, changes, duration, hertz, 
     assert found.amplitude == pytest.approx(amplitude[0], rel=amplitude[1])
 
 
-@pytest.mark.slow
-def test_of_frequencies_that_sticks_show_alike_the_one_that_slips_obey_is_fitted(simulated):
-    ranking = rank(simulated(*FAST, "belt.ripple=0.003", "belt.ripple_hz=1.27", duration=8.0))
-    assert ranking.laws_in_set == (3,)
-    assert ranking.adequacy.adequate
-    assert ranking.best.parameters["ripple_hz"].value == pytest.approx(1.27, abs=0.005)
-    assert ranking.best.parameters["ripple"].value == pytest.approx(0.003, rel=0.05)
-
-
 def test_a_steady_belt_shows_none(simulated):
     assert found_in(simulated("friction.law=4", "scatter.Fs=0.1")) is None
 

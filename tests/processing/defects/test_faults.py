@@ -5,9 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import daq
-from daq.runfile import store
-from processing import smoothing, stage
 from processing.defects.faults import learn
 from processing.defects.frames import count_frames, step_sums
 from processing.record import series
@@ -132,24 +129,6 @@ def test_corners_of_slips_of_few_samples_are_no_spikes(imported, samples):
     found = found_in(imported(time, x, 100.0)).kept
     assert not found[index].any()
     assert np.sum(~found) < 2 * index.size  # beside a spike in a slip of 10 samples a corner may go too
-
-
-def test_blocks_find_the_same_faults_and_the_file_keeps_them(tmp_path, seen, monkeypatch):
-    recording, _ = seen(2e-4, duration=40.0)
-    recording = spoilt(recording, *faults_of("19 spikes a second", recording))
-    path = tmp_path / "run.h5"
-    store.write(path, recording)
-    whole = smooth(daq.load(path))
-    stage.save(whole, path)
-    kept = stage.load(path)
-    assert (kept.faults, str(kept.findings)) == (whole.faults, str(whole.findings))
-    assert kept.measured == pytest.approx(whole.measured)
-    assert np.abs(whole.measured - recording.position)[~whole.missing].max() == 0
-    monkeypatch.setattr(smoothing, "BLOCK", 6000)
-    monkeypatch.setattr(smoothing, "MARGIN", (2500, 2**16))
-    summary = smoothing.smooth_file(path)
-    assert len(set(summary.faults) ^ set(whole.faults)) <= 0.02 * len(whole.faults)
-    assert summary.noise == pytest.approx(whole.noise, rel=0.05)
 
 
 @pytest.mark.parametrize("sensor", [5e-5, 2e-4])
