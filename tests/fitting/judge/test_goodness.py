@@ -87,7 +87,9 @@ def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
     assert len(warnings.not_judged(adequacy)) == 1
 
 
-@pytest.mark.parametrize(("curve", "adequate"), [("hyperbolic", True), ("stribeck", False)])
+@pytest.mark.parametrize(
+    ("curve", "adequate"), [("hyperbolic", True), pytest.param("stribeck", False, marks=pytest.mark.slow)]
+)
 def test_slips_of_25_samples_are_judged(belt_rig, tmp_path, curve, adequate):
     """With fewer samples than bins the statistics had no spread: an error, or "adequate" whatever the law."""
     time, position = belt_rig.recorded(belt_rig.Contact(curve=curve, duration=30.0), rate=50.0, count=0.0)

@@ -199,8 +199,9 @@ def test_the_last_turn_of_a_thousand_million_time_units_is_whole_periods_after_t
 # Bounds ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", [1, 3, 5])
-@pytest.mark.parametrize("changes", [{}, {"v_belt": -0.5}, {"static": 1.2, "c": 0.01, "x0": 0.3}], ids=str)
+@pytest.mark.parametrize(
+    ("law", "changes"), [(1, {}), (3, {}), (5, {}), (5, {"v_belt": -0.5, "static": 1.2, "c": 0.01, "x0": 0.3})], ids=str
+)
 def test_a_million_time_units_of_a_jump_law_are_the_work_of_a_transient_and_one_cycle(law, changes):
     flow = flow_of(law, **changes)
     once = list_events(flow, 0.0, 0.0, 60.0, every_cycle=True)
@@ -226,13 +227,8 @@ def test_law_6_to_a_million_time_units_costs_its_transient():
         (("drive.u0=0.2", "drive.omega=1e6"), "1000", "step limit"),
         (("friction.law=2",), "1e300", "step limit"),
         (("spring.k=1e100",), "1e10", None),
-        (("mass.m=1e100",), "1e10", None),
-        (("friction.Fs=1e100",), "1e10", None),
         (("friction.gamma=1e100",), "1e10", None),
-        (("belt.speed=1e100",), "1e10", None),
         (("belt.speed=1e-100",), "1e10", None),
-        (("start.x=1e100",), "1e10", None),
-        (("damper.c=1e100",), "1e10", None),
         (("drive.u0=1e100", "drive.omega=1e-100"), "1e10", None),
     ],
     ids=lambda value: "+".join(value) if isinstance(value, tuple) else str(value),
