@@ -11,26 +11,12 @@ from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
 from rig_sim.board.belt_encoder import BeltEncoder
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
-from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
 
 from ..boards import DELTA, frames_of
 
 CHANNEL: dict[str, object] = {"belt.channel": True}
 STEADY: dict[str, object] = {"scatter.Fs": 0, "jitter.rms": 0}
-
-
-def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return belt travel to a hundred-thousandth of a count, and x, F of the mass, at times ``t``."""
-    motion, belt = ScenePlayer(changed), BeltEncoder(changed)
-    belt.delta *= 1e-5
-    counts, x, F = [], [], []
-    for first, last in zip((0, *cuts), (*cuts, len(t)), strict=True):
-        path = motion.follow(t[first:last], forces=True)
-        counts.append(belt.read(path))
-        x.append(path.nodes.x[path.samples])
-        F.append(path.F)
-    return np.concatenate(counts) * belt.delta, np.concatenate(x), np.concatenate(F)
 
 
 @pytest.mark.parametrize(
@@ -49,11 +35,14 @@ def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[n
 def test_the_travel_is_the_integral_of_the_speed_that_the_load_leaves(changes: dict[str, object]) -> None:
     changed = scene("rig", **CHANNEL, **STEADY, **{"belt.start": 0.0, **changes})
     t = np.arange(0.0, 4.0, 1e-4)
-    travel, _, F = played(changed, t)
+    belt = BeltEncoder(changed)
+    belt.delta *= 1e-5  # for the travel to a hundred-thousandth of a count
+    path = ScenePlayer(changed).follow(t, forces=True)
+    travel = belt.read(path) * belt.delta
     assert changed.belt is not None
     assert changed.droop is not None
     assert changed.friction is not None
-    speed = changed.belt.speed - changed.droop.fraction * abs(changed.belt.speed) * F / changed.friction.Fs
+    speed = changed.belt.speed - changed.droop.fraction * abs(changed.belt.speed) * path.F / changed.friction.Fs
     if changed.belt.ripple and changed.belt.ripple_hz:
         speed = speed + changed.belt.ripple * np.sin(2 * math.pi * changed.belt.ripple_hz * t)
     expected = cumulative_simpson(speed, x=t, initial=0.0)

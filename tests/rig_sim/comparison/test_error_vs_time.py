@@ -1,7 +1,7 @@
 """The reference against closed forms and the kernel; the peers; and ``rig-sim compare``."""
 
 import re
-from functools import cache, partial
+from functools import cache
 
 import mpmath
 import pytest
@@ -10,10 +10,7 @@ from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
 from rig_sim.comparison.error_vs_time import compare, describe_peers, difference, find_tightest, pair_events
 from rig_sim.comparison.reference import Uncovered, events
-from rig_sim.comparison.solve_ivp import SOLVERS, make_ivp_solver
-from rig_sim.comparison.stepping import sample_phase
 from rig_sim.integrate.events import EventList, list_events
-from rig_sim.motion.play import play_events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
 
@@ -44,21 +41,6 @@ def test_reference_has_the_period_of_law_5_to_18_digits():
 def test_reference_says_what_it_does_not_cover():
     with pytest.raises(Uncovered, match="driven ramp"):
         events(flow_of(6, d=1e-6, u0=0.1, omega=1.0), 0.0, 0.0, 10.0)
-
-
-def events_by(played, method, rtol, max_steps=2_000_000):
-    return play_events(
-        played, 15.0, partial(sample_phase, make_ivp_solver(method, rtol, dense=False)), max_steps=max_steps
-    )
-
-
-@pytest.mark.parametrize("method", SOLVERS)
-@pytest.mark.parametrize("law", [4, 5])
-def test_peers_find_the_same_events(method, law):
-    exact = list_events(flow_of(law), 0.0, 0.0, 15.0)
-    found = events_by(scene("base", **{"friction.law": law}), method, 1e-8)
-    assert found.kinds == exact.kinds
-    assert found.t == pytest.approx(exact.t, abs=1e-4)
 
 
 def test_lists_that_part_have_no_error_but_say_where():
@@ -104,6 +86,8 @@ def test_compare_ranks_the_methods_of_the_contract():
     for setting in ("interpreted", "compiled"):
         assert rows["exact", setting]["error"] <= 1e-14
     assert all({"method", "setting", "error", "cpu_s", "us_per_cycle"} <= set(row) for row in found["rows"])
+    near = {method for (method, _), row in rows.items() if row["error"] is not None and row["error"] < 1e-6}
+    assert near == {"exact", "rk4-henon", "dop853", "radau", "lsoda"}
     assert "mpmath" in found["reference"]
     assert rows["exact", "compiled"]["error"] < rows["dop853", "rtol 2.3e-14"]["error"]
 
