@@ -127,13 +127,3 @@ def test_a_list_with_a_landing_found_twice_is_no_reference():
     assert all(lists[peer].t == right["exact", "interpreted"].t for peer in peers.values())
     assert describe_peers(peers) == ("; compared: exact with dop853 rtol 1e-12; dop853, radau with exact interpreted")
     assert difference(twice, pair_events(lists["exact", "interpreted"]), 9.0) == (None, "other events from t = 4")
-
-
-def test_the_exact_method_has_an_error_where_a_rival_finds_other_events():
-    """At which of its tolerances DOP853 finds one landing twice depends on the processor's dot products."""
-    found = compare(scene("rig"), 11.0, methods=("exact", "dop853", "radau"))
-    rows = {(row.method, row.setting): row for row in found.results}
-    assert rows["radau", "rtol 1e-09"].error < 1e-9
-    peer = re.search("compared: exact with dop853 (rtol [^;]*); dop853, radau with exact interpreted", found.reference)
-    assert rows["exact", "interpreted"].error == rows["dop853", peer[1]].error is not None
-    assert all(row.note.startswith("other events") == (row.error is None) for row in rows.values())

@@ -65,11 +65,6 @@ def test_each_landing_draws_its_own_friction_level() -> None:
     assert len(set(levels)) == len(levels)
 
 
-def test_the_seed_makes_a_run_again_and_another_seed_another_one() -> None:
-    assert events(scene("rig", seed=3), 20.0) == events(scene("rig", seed=3), 20.0)
-    assert events(scene("rig", seed=3), 20.0) != events(scene("rig", seed=4), 20.0)
-
-
 def test_wear_lowers_the_level_at_each_landing_and_never_below_the_bound() -> None:
     worn = scene("rig", scatter={"Fs": 0.0}, wear={"rate": 0.02})
     found = events(worn, 20.0).events
