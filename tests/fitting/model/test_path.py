@@ -216,29 +216,6 @@ def test_a_guide_is_followed_through_the_turn_of_the_mass(one_window, rate):
     assert found.model[: exact.size] == pytest.approx(exact[: windows.time.size], abs=2e-7 if rate > 500 else 2e-6)
 
 
-@pytest.mark.parametrize(("ramp", "d"), [(False, 0.0), (True, 0.03), (True, 1e-3)])
-@pytest.mark.parametrize("stick", [0, 1])
-def test_tangents_beside_a_drag_are_differences(one_window, ramp, d, stick):
-    windows, curve, u, local = followed(one_window, ramp=ramp, changes={"d": d}, shape={"stick": stick})
-    v = np.linspace(-2, 2, 2001)
-    drag = Drag(v, -0.3 * np.tanh(v / 0.1) - 0.2 * v * np.abs(v), 0.01)
-    path = follow(windows, curve, u, local, drag=drag)
-    assert positions(windows, curve, u, local, drag=drag) == pytest.approx(path.model, abs=5e-8)
-
-    def harder(h):
-        return follow(windows, curve, u, local, drag=drag._replace(acceleration=(1 + h) * drag.acceleration)).model
-
-    column = tangents(path, np.interp(path.velocity, v, drag.acceleration)[:, None])[:, 0]
-    seen = np.abs(column).max()
-    assert seen > 5e-5 or (stick and d == 0)
-    assert column == pytest.approx(slope(harder, 1e-4), abs=2e-3 * seen + 1e-9)
-    kinds = [Global.K, Global.DAMPING, Global.V_DR]
-    for slot, found in zip(kinds, shared_tangents(path, kinds).T, strict=True):
-        along = (np.arange(u.size) == slot).astype(float)
-        expected = slope(lambda h, along=along: follow(windows, curve, u + h * along, local, drag=drag).model)
-        assert found == pytest.approx(expected, abs=2e-3 * np.abs(found).max() + 1e-9)
-
-
 def test_points_are_stored_within_their_memory(one_window, monkeypatch):
     """A mass that settled on a ramp at the last of the points took one more: the fit ended in an error of shapes.
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP
+from fitting.model.flow import LONGEST_STEP, SEARCH_STEP
 from fitting.model.path import Curve, follow
 from fitting.model.tangents import local_tangents, shared_tangents
 from fitting.model.unknowns import Global, PerCycle
@@ -160,19 +160,6 @@ def test_tangents_are_those_of_the_exact_flow(one_window, exact, name, step):
     assert path.model == pytest.approx(positions, abs=1e-8 if step == LONGEST_STEP else 1e-6)
     found = errors(path, slip, derivatives)
     assert max(found.values()) < (5e-6 if name in PLAIN else 1e-3), found
-
-
-@pytest.mark.parametrize("rate", [1000.0, 125.0])
-@pytest.mark.parametrize("d", [1e-4, 1e-5])
-def test_tangents_by_a_ripple_hold_where_a_creep_breaks_away(one_window, d, rate):
-    """The acceleration of a column within a step was taken for that at its end: 1 % off at 1 kHz, 10 % at 125 Hz."""
-    slip = Slip(1.1, 0.8 * d, {"d": d, "static": 1.2, **RIPPLE})
-    windows = window_of(one_window, slip, rate)
-    path = follow(windows, Curve(slip.curve, True), slip.u, slip.local)
-    assert np.any(path.mode == CREEP)
-    found = errors(path, slip, differences(slip, windows))
-    del found["V_SLIP"]  # what starts bound to the belt does not know a velocity of its own
-    assert max(found.values()) < 3e-3, found
 
 
 @pytest.mark.parametrize(
