@@ -114,6 +114,14 @@ def test_a_true_law_is_adequate(ranked_alone, law):
     assert all(item.trusted for item in ranking.best.parameters.values())
 
 
+def test_a_fit_that_did_not_converge_is_named(ranked_alone):
+    ranking = ranked_alone(5, law=5)
+    fit = ranking.best.fit
+    stopped = replace(ranking.best, fit=replace(fit, solution=replace(fit.solution, outcome="no progress")))
+    said = warnings.warnings(replace(ranking, rows=(stopped,)), (), ranking.adequacy)
+    assert "the fit of law 5 did not converge: its error is an upper bound" in said
+
+
 def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(ranked_alone):
     # "law 1 (constant friction), the only law fitted" was said of it, with narrow intervals.
     ranking = ranked_alone(1, law=5, duration=10.0)
