@@ -10,7 +10,7 @@ import pytest
 import daq
 import processing
 from daq.cli.app import app as daq_app
-from processing import stage
+from processing import stage, statistics
 from processing.cli import app as process_app
 from stickslip.console import application
 
@@ -37,6 +37,8 @@ def test_smoothing_by_function_and_by_command(tmp_path, capsys, flags):
     assert stored is not None
     assert_same(stored, said)
     np.testing.assert_array_equal(stored.velocity, found.velocity)
+    counted = statistics.from_kinematics(found).as_json()
+    assert said["statistics"] == json.loads(json.dumps(application.plain(counted)))
 
 
 def test_a_table_in_memory_and_imported_by_the_command(tmp_path, capsys):

@@ -72,15 +72,6 @@ def test_the_curve_is_drawn_where_it_was_measured_and_the_law_in_its_band(rankin
     assert ((seen > measured.lo) & (seen < measured.hi)).all()
 
 
-def test_a_belt_that_runs_backwards_gives_the_same_picture(ranking):
-    mirrored = replace(ranking, motion=replace(ranking.motion, sign=-1.0))
-    for change in ({}, {"adequacy": replace(ranking.adequacy, curve=None)}):
-        one, other = drawn(replace(ranking, **change).plot()), drawn(replace(mirrored, **change).plot())
-        assert one.keys() == other.keys()
-        for name, points in one.items():
-            np.testing.assert_allclose(other[name], points, rtol=1e-12)
-
-
 def test_without_a_measured_curve_the_force_balance_is_drawn_beside_the_law(ranking):
     lines = drawn(replace(ranking, adequacy=replace(ranking.adequacy, curve=None)).plot())
     speed, force = lines["measured"].T

@@ -62,21 +62,6 @@ def test_the_belts_speed_falls_in_stick_by_the_droops_fraction(tmp_path: Path, s
     np.testing.assert_allclose([fall[1] for fall in falls], 0.22, rtol=1e-3)
 
 
-def test_in_stick_mass_and_belt_run_alike_and_the_belts_speed_is_its_counts(tmp_path: Path) -> None:
-    path, truth = run(tmp_path / "run.h5", "droop.fraction=0.2")
-    recording = daq.load(path)
-    motion = processing.smooth(recording)
-    assert motion.belt_velocity is not None
-    for stick in motion.sticks[1:-1]:
-        inside = slice(stick.first + 20, stick.last - 20)
-        relative = motion.velocity[inside] - motion.belt_velocity[inside]
-        assert np.abs(relative).max() < 3e-3
-    running = truth.time > 0.5
-    true = 0.22 * (1 - 0.2 * truth.F[running] / FS)
-    assert motion.belt_speed == pytest.approx(np.median(true) * scale(recording), rel=2e-3)
-    assert motion.belt_speed != pytest.approx(0.22, rel=1e-2)
-
-
 def test_a_belt_that_swings_hides_its_sticks_from_a_record_without_its_counts(tmp_path: Path) -> None:
     swing = ("belt.ripple=0.04", "belt.ripple_hz=8")
     found = {}
@@ -103,14 +88,6 @@ def test_on_a_steady_belt_sticks_are_the_same_with_and_without_its_counts(
     np.testing.assert_array_equal(with_counts.velocity, plain.velocity)
 
 
-def test_a_speed_that_somebody_states_goes_before_the_counts(tmp_path: Path) -> None:
-    recording = daq.load(run(tmp_path / "run.h5", duration=6.0)[0])
-    stated = processing.smooth(recording, belt_speed=-0.22)
-    assert stated.belt_speed == -0.22
-    assert not stated.sticks
-    assert stated.belt_velocity is not None
-
-
 @pytest.mark.parametrize("method", ["sg", "fd"])
 def test_the_stage_keeps_the_belts_velocity_and_gives_it_back(tmp_path: Path, method: str) -> None:
     path, _ = run(tmp_path / "run.h5", duration=4.0)
@@ -126,16 +103,6 @@ def test_the_stage_keeps_the_belts_velocity_and_gives_it_back(tmp_path: Path, me
         kept = file["entry/smooth/kinematics/belt_velocity"]
         assert kept.attrs["units"] == "m/s"
         assert file["entry/smooth/kinematics/belt_velocity_errors"].dtype == np.float32
-
-
-def test_nothing_is_smoothed_across_a_new_segment(tmp_path: Path) -> None:
-    path, _ = run(tmp_path / "run.h5", "gaps.rate=0.3", "gaps.duration=0.7", duration=12.0)
-    recording = daq.load(path)
-    motion = processing.smooth(recording)
-    assert len(set(recording.segment.tolist())) > 1
-    assert motion.belt_velocity is not None
-    running = motion.time > 0.6
-    assert np.abs(motion.belt_velocity[running] / scale(recording) - 0.22).max() < 0.01
 
 
 def test_the_command_reports_the_counted_speed_and_the_export_has_its_columns(

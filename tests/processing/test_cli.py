@@ -105,7 +105,7 @@ def test_inspect_draws_the_run_smoothed_or_not(typed, path, tmp_path):
     store.annotate(path, {"title": "$x^{$"})  # read as a formula, the title was a traceback
     assert document(typed, "inspect", path, "--plot", target)["smoothed_in_memory"] is False
     drawn = target.read_text()
-    for words in ("$x^{$", "time (s)", "x (mm)", "v (m/s)", "phase portrait", "stick", "belt"):
+    for words in ("$x^{$", "time (s)", "x (mm)", "v (m/s)", "phase portrait", "stick", "belt", "break-away level (mm)"):
         assert words in drawn
 
 

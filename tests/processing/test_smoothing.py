@@ -119,16 +119,6 @@ def test_lost_counts_are_carried_from_block_to_block(tmp_path, motion, run_data,
     assert np.abs(found.measured - right).max() < 1e-9
 
 
-@pytest.mark.slow
-def test_nominal_times_go_on_over_the_blocks(tmp_path, small_blocks):
-    target = tmp_path / "run.h5"
-    record(RecordRequest(ports.rig_url("rig", [], False), target, 1000, 20.0))
-    whole = smooth(daq.load(target), "sg", 41, 4, "nominal")
-    smoothing.smooth_file(target, "sg", 41, 4, "nominal")
-    assert stage.load(target).time == pytest.approx(whole.time, abs=1e-12)
-    assert stage.load(target).velocity == pytest.approx(whole.velocity, abs=1e-9)
-
-
 def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_blocks):
     asked = ("auto", "auto", None, "nominal")
     whole = smooth(daq.load(path), *asked)

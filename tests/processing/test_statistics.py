@@ -83,28 +83,6 @@ def test_what_an_end_of_the_record_cuts_off_has_no_duration(motion):
     assert all(math.isfinite(event["break_away_m"]) for event in events)
 
 
-def test_the_commands_print_and_draw_the_statistics(tmp_path, capsys):
-    import json
-
-    from daq.runfile import store
-    from processing import cli
-    from stickslip.console import application
-
-    recording = recorded(*force_record(slips=8)[:2])
-    path, picture = tmp_path / "run.h5", tmp_path / "run.svg"
-    store.write(path, recording)
-    assert application.run(cli.app, ["smooth", str(path), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["statistics"]
-    expected = json.loads(json.dumps(statistics.from_kinematics(processing.smooth(recording)).as_json()))
-    assert found["break_aways"] == expected["break_aways"]
-    assert set(found["slip_s"]) == {"mean", "sd", "min", "max", "trend_per_s"}
-    assert application.run(cli.app, ["inspect", str(path), "--plot", str(picture)]) == 0
-    assert "break-away" in capsys.readouterr().out
-    drawn = picture.read_text()
-    assert "break-away level (mm)" in drawn
-    assert f"mean {1e3 * found['break_away_m']['mean']:.4g} mm" in drawn
-
-
 def test_a_stick_during_which_the_belt_rests_has_no_duration():
     """A pause of 10 s used to be a stick of 11 s."""
     time, position, *_ = force_record(seed=5)

@@ -1,9 +1,5 @@
 """Three outcomes: a law, a curve that is none of the six, no function of speed; by an independent generator."""
 
-import os
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,28 +9,6 @@ from fitting.judge.adequacy import NOT_OF_SPEED
 from fitting.words import answer
 from processing.record.motion import Finding
 from processing.smoothing import smooth
-
-SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).resolve().parents[4] / "shared"))
-
-
-@pytest.fixture(scope="module")
-def foreign(belt_rig):
-    """Give a function that records a contact of the independent simulator with counts of 50 um."""
-    folder = SHARED / "foreign"
-    if not folder.exists():
-        pytest.skip(f"no independent simulator in {folder}")
-    sys.path.insert(0, str(folder))
-    try:
-        import foreign_sim
-    finally:
-        sys.path.remove(str(folder))
-
-    def made(path, duration=20.0, count=50e-6, **contact):
-        time = np.arange(0, duration, 1e-3)
-        position, _, _ = foreign_sim.simulate(time, seed=11, scat=0.03, **contact)
-        return smooth(belt_rig.imported(path, time, np.floor(position / count) * count, decimals=7))
-
-    return made
 
 
 @pytest.mark.usefixtures("asked_law_alone")
@@ -53,9 +27,11 @@ def test_a_stribeck_contact_is_none_of_the_six_and_its_curve_is_measured(belt_ri
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("asked_law_alone")
-def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
+def test_a_spring_that_hardens_is_no_function_of_speed(belt_rig, tmp_path):
     # "law 5 alone" was said of law 3 on it, with k/m wrong by a hundred standard errors.
-    ranking = rank(foreign(tmp_path / "t.csv", code=3, G=0.3, k3=0.05 * 10.5552 / 0.195**2))
+    contact = belt_rig.Contact(curve="linear", scatter=0.03, duration=20.0, seed=11, k3=0.05 * 10.5552 / 0.195**2)
+    time, position = belt_rig.recorded(contact, count=50e-6)
+    ranking = rank(smooth(belt_rig.imported(tmp_path / "t.csv", time, position, decimals=7)))
     found = ranking.adequacy
     assert found.verdict == NOT_OF_SPEED
     assert (found.departures[0].name, found.departures[0].refitted) == ("spring-nonlinear", True)

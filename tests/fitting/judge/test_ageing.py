@@ -33,31 +33,28 @@ def found_in(ratio, stick, error=0.0):
     return find_other_break_away([BreakAways(*break_aways(ratio, stick), error)], 2.0, "N")
 
 
-def test_a_level_above_that_of_slip_is_named_and_its_growth_is_seen():
-    (steady,) = found_in(np.full(20, 1.3), STICKS)
-    assert (steady.code, steady.expected) == ("break-away", 2.0)
-    assert steady.value == pytest.approx(2.6, abs=0.01)
-    assert "grows" not in steady.text
-    (growing,) = found_in(1.2 + 0.1 * np.log(STICKS), STICKS)
-    assert "grows" in growing.text
-
-
-def test_a_level_below_that_of_the_law_at_rest_is_named_too():
-    (low,) = found_in(np.full(20, 0.8), np.geomspace(0.1, 2.0, 20))
-    assert low.value == pytest.approx(1.6, abs=0.01)
-
-
 @pytest.mark.parametrize(
-    ("ratio", "count", "error", "named"),
+    ("ratio", "growth", "count", "error", "named"),
     [
-        (1.007, 20, 0.0, False),
-        (1.3, 4, 0.0, False),
-        (1.08, 20, 0.0, True),
-        (1.08, 20, 0.02, False),  # what all break-aways share is part of the error
+        (1.3, 0.0, 20, 0.0, True),
+        (1.2, 0.1, 20, 0.0, True),
+        (0.8, 0.0, 20, 0.0, True),
+        (1.08, 0.0, 20, 0.0, True),
+        (1.08, 0.0, 20, 0.02, False),  # what all break-aways share is part of the error
+        (1.007, 0.0, 20, 0.0, False),
+        (1.3, 0.0, 4, 0.0, False),
     ],
 )
-def test_a_ratio_within_its_error_or_of_few_break_aways_is_none(ratio, count, error, named):
-    assert bool(found_in(np.full(count, ratio), STICKS[:count], error)) is named
+def test_a_level_beside_that_of_slip_is_named_with_its_growth_where_enough_break_aways_show_it(
+    ratio, growth, count, error, named
+):
+    stick = STICKS[:count]
+    found = found_in(ratio + growth * np.log(stick), stick, error)
+    assert len(found) == named
+    for finding in found:
+        assert (finding.code, finding.expected) == ("break-away", 2.0)
+        assert growth or finding.value == pytest.approx(2.0 * ratio, abs=0.01)
+        assert ("grows" in finding.text) == bool(growth)
 
 
 @pytest.mark.slow

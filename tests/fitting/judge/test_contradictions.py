@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 import daq
-from daq.runfile.rig import Rig
 from fitting import rank
 from stickslip.units import Measured
 
@@ -97,14 +96,6 @@ def test_a_rest_position_that_keeps_every_law_away_is_named_with_what_holds(rank
     assert finding.expected == rest
     assert finding.text.endswith(". No law describes the record with the stated value")
     assert "This contradicts the stated x0" in ranking.verdict
-
-
-def test_a_contradicted_x0_is_named_as_it_was_stated(smoothed):
-    record = smoothed(law=5, duration=10.0)
-    rig = replace(record.recording.rig, datum=None).resting_at(Measured(-0.02, 5e-4))
-    finding = finding_of(rank(replace(record, recording=replace(record.recording, rig=Rig())), rig, laws=(5,)), "x0")
-    assert finding.expected == pytest.approx(-0.02)
-    assert finding.value == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize(

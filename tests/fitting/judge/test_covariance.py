@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from daq.runfile.rig import Rig
-from fitting.judge.parameters import correlations, covariance, derived_parameters, remove_level_errors
+from fitting.judge.parameters import covariance, derived_parameters, remove_level_errors
 from fitting.laws import SIX
 from fitting.least_squares.normal_equations import NormalEquations
 from fitting.search.exchange import fit_laws
@@ -39,24 +39,6 @@ def fit_with(slopes, guess):
         problem=SimpleNamespace(level_prior=1.0),
         windows=SimpleNamespace(run=np.zeros(count, int), table=np.array([(k, 0, k, 1, 0, 0) for k in range(count)])),
     )
-
-
-def test_an_unknown_that_nothing_shows_is_boundless_and_leaves_the_others_alone():
-    slopes = np.array([[1.0, 2.0], [3.0, -1.0], [0.5, 1.0], [2.0, 2.0]])
-    known = covariance(fit_with(slopes, np.zeros(2)))
-    found = covariance(fit_with(np.c_[slopes, np.zeros(4)], np.zeros(3)))
-    assert np.isfinite(found).all()
-    assert found[2, 2] > 1e90
-    assert found[:2, :2] == pytest.approx(known, rel=1e-9)
-
-
-def test_a_direction_that_only_a_guess_holds_has_the_guess_s_variance():
-    guess = np.array([0.0, 1e-2])
-    slopes = 1e2 * np.ones((4, 2))  # only the sum is measured
-    found = covariance(fit_with(slopes, guess))
-    assert found[1, 1] == pytest.approx(100.0, rel=1e-3)
-    assert found[0, 0] == pytest.approx(100.0, rel=1e-3)
-    assert found[0, 0] + found[1, 1] + 2 * found[0, 1] < 1e-3
 
 
 def test_what_one_cycle_alone_shows_is_as_uncertain_as_that_cycle_s_residuals():
@@ -128,20 +110,3 @@ def test_correlations_give_the_error_of_a_ratio(ranked_alone):
     assert found.matrix == pytest.approx(found.matrix.T, abs=1e-12)
     assert np.diag(found.matrix) == pytest.approx(np.ones(len(found.names)))
     assert set(found.names) == {"k/m", "Fs/m", "v_dr", "gamma", "x0", "c/m"}
-
-
-def test_an_uncertain_length_correlates_what_has_a_length_in_its_unit(ranked_alone):
-    ranking = ranked_alone(5, law=5)
-    found = correlations(ranking.best.fit, replace(ranking.motion, length_error=0.5))
-    place = {name: k for k, name in enumerate(found.names)}
-    assert found.matrix[place["Fs/m"], place["v_dr"]] == pytest.approx(1.0, abs=0.01)
-    assert found.matrix[place["gamma"], place["v_dr"]] == pytest.approx(-1.0, abs=0.01)
-    assert abs(found.matrix[place["k/m"], place["v_dr"]]) < 0.1
-
-
-def test_correlations_are_withheld_with_the_intervals(ranked_alone):
-    ranking = ranked_alone(5, law=5)
-    best = ranking.best
-    withheld = {name: replace(item, trusted=False) for name, item in best.parameters.items()}
-    assert replace(ranking, rows=(replace(best, parameters=withheld),)).as_json()["correlations"] is None
-    assert ranking.as_json()["correlations"]["parameters"] == list(ranking.correlations().names)

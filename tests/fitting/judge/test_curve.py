@@ -124,18 +124,6 @@ def test_runs_at_two_speeds_give_one_curve(measured, contact):
 
 
 @pytest.mark.slow
-def test_the_level_of_two_runs_without_a_datum_is_assumed(measured, contact):
-    changes = CONTACTS["exponential, no viscous term"][0] | {"duration": 12.0, "scatter": 0.0}
-    result = measured(contact(**changes), contact(**changes, belt=0.15, seed=4), bare=True)
-    curve, off = result.curve, result.curve.friction - result.truth
-    assert curve.level_assumed
-    assert (curve.lo < result.truth).all()
-    assert (result.truth < curve.hi).all()
-    assert (np.abs(off - off.mean()) < curve.shape_half).all()
-    assert nearest_published(result).law.name == "stribeck"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("change", [{"k3": 17.0}, {"second_mass": (0.006, 5.28, 0.0007)}])
 def test_what_is_no_function_of_speed_keeps_its_misfit(change, measured, contact):
     result = measured(contact(**change))

@@ -1,7 +1,6 @@
 """What departs from a law is named, with its size, by fitting the law together with it; none where a law is right."""
 
 import math
-import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,11 +14,8 @@ from fitting.judge.departures import (
     find_best_scale,
     find_candidates,
     fit_departure,
-    linear_steps,
 )
 from fitting.judge.library import DEPARTURES
-from fitting.laws import SIX
-from fitting.model.forces import Forcing
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -46,13 +42,6 @@ def test_a_hard_spring_is_fitted_with_the_law(departing):
     gamma = first.as_json()["parameters"]["gamma"]
     assert gamma["lo"] < 9.618 < gamma["hi"]
     assert gamma["stderr"] < 0.02 * gamma["value"]
-
-
-def test_a_law_fitted_to_the_thinned_record_alone_is_compared_on_the_same_samples(departing):
-    """A law far from the record does not take every sample: the gain of a departure then ended in an IndexError."""
-    fit = departing(k3=HARD)
-    thin = Base.at(fit, fit.problem.motions).thinned().fit
-    assert explained(replace(thin, finished=False))[0].explained == pytest.approx(explained(fit)[0].explained, rel=0.02)
 
 
 @pytest.mark.slow
@@ -99,30 +88,10 @@ def test_the_law_is_found_together_with_the_departure(departing):
     assert first.value == pytest.approx(0.05 * K / 0.195**2 / 0.3, rel=0.02)
 
 
-def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeypatch):
-    """The first was named: law 5, at 1.005 times the noise, hid law 3 at 0.97 and a spring 11 % harder."""
-    fits = [SimpleNamespace(law=SIX[law]) for law in (5, 3)]
-    left = {SIX[5]: 1.005 * NOISE, SIX[3]: 0.97 * NOISE}
-    monkeypatch.setattr(
-        departures,
-        "_fit_law_with_departure",
-        lambda _, fit, noise, least, tested: SimpleNamespace(law=fit.law, median_rms=left[fit.law]),
-    )
-    assert fit_departure(None, fits, NOISE).law == SIX[3]
-    left[SIX[3]] = 1.2 * NOISE
-    assert fit_departure(None, fits, NOISE).law == SIX[5]
-
-
 def test_a_departure_that_is_not_there_is_not_confirmed(departing, base_of):
     found = find_candidates(base_of(k3=HARD), NOISE)
     (other,) = (candidate for candidate in found if candidate.departure.name == "second-mode")
     assert fit_departure(other, [departing(k3=HARD)], NOISE) is None
-
-
-def test_a_departure_that_no_law_describes_the_record_with_is_not_named(departing, monkeypatch):
-    # A wheel, a second mass or "friction that remembers" was named with the size of one linear step.
-    monkeypatch.setattr(departures, "_fit_law_with_departure", lambda *_, **__: None)
-    assert explained(departing(k3=HARD)) == ()
 
 
 def test_a_contact_of_the_fitted_law_shows_no_departure(base_of):
@@ -138,46 +107,11 @@ def test_a_force_by_the_velocity_that_would_push_is_not_shown(base_of, monkeypat
     assert ("guide-friction" in names) == ("drag-quadratic" in names) == shown
 
 
-def test_a_response_beyond_all_numbers_explains_nothing():
-    """It was multiplied all the same: an overflow, with a warning on the terminal."""
-    numbers = {"raw": [1e300, np.inf, 1.0, 1.0], "gradient": [1e200, 1.0, 2.0, 0.0]}
-    information = np.diag([1e300, np.inf, 1.0, 1.0])
-    scores = SimpleNamespace(information=information, **{name: np.array(values) for name, values in numbers.items()})
-    base = SimpleNamespace(
-        motion=None,
-        respond=lambda forcings: np.zeros((3, 4)),
-        linear=SimpleNamespace(scores=lambda columns: scores),
-    )
-    departure = SimpleNamespace(columns=2, forcing=lambda trajectory, scale: None)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert linear_steps(base, departure, np.array([1.0, 2.0]))[1] == pytest.approx([0.0, 2.0])
-
-
-def test_a_column_that_the_fit_adjusts_explains_nothing_and_two_alike_end_in_no_error(base_of):
-    base = base_of()
-
-    def gain(columns):
-        departure = SimpleNamespace(columns=columns.shape[1], forcing=lambda *_: Forcing(reading=columns))
-        return float(linear_steps(base, departure, np.array([math.nan]))[1][0])
-
-    assert gain(base.linear.derivatives.columns(slice(1)) * 3.0) == 0
-    column = np.sin(np.arange(base.linear.residual.size) * 0.01)[:, np.newaxis]
-    assert np.isfinite(gain(np.hstack([column, column])))
-
-
 def test_a_known_revolution_is_not_scanned(base_of):
     base, eccentricity = base_of(), LIBRARY["eccentricity"]
     known = replace(base, motion=replace(base.motion, revolution=0.12566))
     assert find_best_scale(known, eccentricity) == 0.12566
     assert find_best_scale(base, eccentricity) != pytest.approx(0.12566, rel=1e-3)
-
-
-def test_a_thinned_record_chooses_the_same_scale(base_of):
-    base, departure = base_of(k3=HARD), LIBRARY["friction-by-mass-position"]
-    thin = base.thinned()
-    assert thin.linear.residual.size < 0.5 * base.linear.residual.size
-    assert find_best_scale(thin, departure) == pytest.approx(find_best_scale(base, departure), rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,9 @@ def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
     assert len(warnings.not_judged(adequacy)) == 1
 
 
-@pytest.mark.parametrize(("curve", "adequate"), [("hyperbolic", True), ("stribeck", False)])
+@pytest.mark.parametrize(
+    ("curve", "adequate"), [("hyperbolic", True), pytest.param("stribeck", False, marks=pytest.mark.slow)]
+)
 def test_slips_of_25_samples_are_judged(belt_rig, tmp_path, curve, adequate):
     """With fewer samples than bins the statistics had no spread: an error, or "adequate" whatever the law."""
     time, position = belt_rig.recorded(belt_rig.Contact(curve=curve, duration=30.0), rate=50.0, count=0.0)
@@ -112,6 +114,14 @@ def test_a_true_law_is_adequate(ranked_alone, law):
     assert all(item.trusted for item in ranking.best.parameters.values())
 
 
+def test_a_fit_that_did_not_converge_is_named(ranked_alone):
+    ranking = ranked_alone(5, law=5)
+    fit = ranking.best.fit
+    stopped = replace(ranking.best, fit=replace(fit, solution=replace(fit.solution, outcome="no progress")))
+    said = warnings.warnings(replace(ranking, rows=(stopped,)), (), ranking.adequacy)
+    assert "the fit of law 5 did not converge: its error is an upper bound" in said
+
+
 def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(ranked_alone):
     # "law 1 (constant friction), the only law fitted" was said of it, with narrow intervals.
     ranking = ranked_alone(1, law=5, duration=10.0)
@@ -123,6 +133,7 @@ def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(ranked_alone):
     for item in document["ranking"][0]["parameters"].values():
         assert item["lo"] is item["hi"] is item["stderr"] is None
         assert np.isfinite(item["value"])
+    assert document["correlations"] is None
     assert job.exit_code(document) == 6
 
 

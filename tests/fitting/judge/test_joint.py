@@ -67,26 +67,12 @@ def test_runs_of_one_contact_share_all_but_their_belts(law_five):
         assert run.best.parameters["k/m"] == law_five.best.parameters["k/m"]
 
 
-def test_one_run_in_a_list_is_that_run(runs_of):
-    run = runs_of(5, 2)[1]
-    alone, listed = rank(run, laws=(5,)), rank([run], laws=(5,))
-    assert listed.runs == ()
-    assert listed.best.parameters == alone.best.parameters
-    assert listed.verdict == alone.verdict
-
-
 @pytest.mark.slow
 def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(simulated):
     changes = ("droop.fraction=0.01", "friction.law=5")
     runs = [simulated(f"belt.speed={speed}", *changes, f"seed={number}") for number, speed in enumerate(SPEEDS)]
     assert rank(runs[1], laws=(5, 6)).laws_in_set == (5, 6)
     assert rank(runs, laws=(5, 6)).laws_in_set == (5,)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", [1, 2])
-def test_constant_friction_is_told_by_the_drags_of_all_runs(runs_of, law):
-    assert rank(runs_of(law, 3, kick=0.0)).laws_in_set == (law,)
 
 
 def test_runs_that_stick_and_runs_that_graze_are_not_one_contact(runs_of):
@@ -194,14 +180,6 @@ def test_no_joint_fit_replaces_one_of_its_runs(files, tmp_path):
         command.fit(first, other, laws="5", no_report=True, force=True)
 
 
-def test_reports_of_a_batch_are_numbered(files, tmp_path):
-    assert [place.name for place in page.report_paths(files, tmp_path / "all.html")] == [
-        "all.html",
-        "all-2.html",
-        "all-3.html",
-    ]
-
-
 def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
     with drawing.look():
         shown = (pictures.cycle, pictures.record, pictures.residuals, pictures.break_aways)
@@ -221,13 +199,6 @@ def test_the_page_of_a_joint_fit_has_a_line_and_a_row_of_each_run(runs_of, law_f
         assert f"belt {speed.value:.{speed.decimals}f} ± {speed.stderr:.{speed.decimals}f} m/s" in text
 
 
-def test_a_run_named_twice_is_refused(files, tmp_path):
-    same = tmp_path / "same.h5"
-    shutil.copy(files[0], same)
-    with pytest.raises(InputError, match="named twice"):
-        command.fit(same, same)
-
-
 @pytest.mark.slow
 def test_several_processes_give_the_same_ranking_to_the_last_bit(smoothed):
     runs = [smoothed(law=4, duration=10.0, belt=speed) for speed in SPEEDS[1:]]
@@ -237,16 +208,6 @@ def test_several_processes_give_the_same_ranking_to_the_last_bit(smoothed):
             assert getattr(one, name) == getattr(other, name)
         assert (one.fit.residual == other.fit.residual).all()
     assert alone.verdict == side_by_side.verdict
-
-
-@pytest.mark.slow
-def test_runs_of_two_contacts_accuse_no_rest_position_that_each_agrees_with(belt_rig):
-    # Without x0 a Stribeck curve came near both, each with a rest position of its own, and x0 was "contradicted" twice.
-    contacts = [belt_rig.Contact(Fs=1.1, gamma=9.6, belt=0.1), belt_rig.Contact(Fs=1.5, gamma=4.5, belt=0.2, seed=2)]
-    contacts = [replace(contact, c=0.02, scatter=0.03, duration=20.0) for contact in contacts]
-    runs = [belt_rig.by_encoder(contact) for contact in contacts]
-    ranking = rank(runs, laws=(5, "stribeck-viscous"), mass=0.3, x0=(1e-4, 1e-4))
-    assert {finding.code for finding in ranking.findings} == {"not-one-contact"}
 
 
 @pytest.mark.slow

@@ -92,14 +92,6 @@ def test_without_a_cycle_the_others_are_fitted_by_themselves(problem):
     assert left.residual[counted] == pytest.approx(expected[counted], abs=1e-3)
 
 
-def test_a_refit_without_derivatives_leaves_what_there_was(problem):
-    """Beside a jump of the motion repetitions grew to 1e10 m, and residuals of 500 times the noise passed as noise."""
-    found, further, _ = problem
-    broken = replace(found)
-    broken.reduced._inverse = -broken.reduced._inverse
-    assert broken.refit_columns(further) == pytest.approx(further)
-
-
 def test_scores_are_those_of_the_dense_problem(problem):
     found, further, dense = problem
     H, g = curvature(found, dense)

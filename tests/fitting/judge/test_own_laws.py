@@ -3,7 +3,6 @@
 import csv
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import h5py
@@ -16,7 +15,6 @@ from daq.runfile.rig import Rig
 from fitting import job, rank
 from fitting.judge.parameters import RUN_PARAMETERS
 from fitting.laws import SIX
-from fitting.report import page
 from processing.smoothing import smooth
 from rig_sim.motion.play import events
 from rig_sim.scenes.scene import scene
@@ -79,16 +77,6 @@ def test_a_law_typed_as_a_formula_gives_the_answers_of_the_law(belt_rig, law, kn
         value, error = own.parameters[name].value, own.parameters[name].stderr
         assert formula.parameters[name].value == pytest.approx(value, abs=0.02 * error), name
         assert formula.parameters[name].stderr == pytest.approx(error, rel=0.1), name
-
-
-def test_without_a_rest_position_a_formula_finds_it_as_its_law_does(belt_rig, tmp_path):
-    """It was held where the measured curve assumes it, which a hyperbola that falls towards 0 contradicts."""
-    time, position = belt_rig.camera(5, 2e-4, duration=12.0, scatter=0.0)
-    ranking = rank(smooth(belt_rig.imported(tmp_path / "t.csv", time, position, 6)), laws=(5, restated(5)))
-    own, formula = ranking.row(5), ranking.row("law5")
-    assert formula.rms_m == pytest.approx(own.rms_m, rel=1e-3)
-    for name in ("x0", "Fs/m", "gamma"):
-        assert abs(formula.parameters[name].value - own.parameters[name].value) < 0.5 * own.parameters[name].stderr
 
 
 def test_a_named_law_that_wins_ends_with_exit_code_0(won):
@@ -185,14 +173,10 @@ def test_parameters_that_enter_only_as_a_product_are_said_to_be_undetermined(hyp
 
 
 UNFITTABLE = {
-    "-abs(Fs)": "friction is negative",  # used to end the whole fit
-    "Fs-Fs": "friction is not above 0",  # used to end in a ValueError
-    "Fs/(1e-300+s)": "overflow",
-    "Fs*exp(1e6)": "overflow",
-    "Fs*log(-abs(b)*s)": "log of",
-    "Fs + b*log(s)": "log of 0",
+    "-abs(Fs)": "friction is negative",
     "Fs*s": "friction is not above 0",
-    "Fs/(s - s)": "division by 0",
+    "Fs/(1e-300+s)": "overflow",
+    "Fs + b*log(s)": "log of 0",
 }
 
 
@@ -225,11 +209,6 @@ def test_where_no_requested_law_can_be_fitted_each_reason_is_said(hyperbolic):
         DataError, match=r"none of the requested laws can be fitted \(law mine: .*negative.*; law two: "
     ):
         rank(hyperbolic, laws=(fitting.Law("mine", "-abs(Fs)"), fitting.Law("two", "Fs*s")))
-
-
-def test_a_law_without_free_parameters_is_fitted(hyperbolic):
-    law = fitting.Law("mine", "Fs/(1 + gamma*s)", fix={"Fs": "4.6 m/s^2", "gamma": "9.6e-3 s/mm"})  # a ValueError
-    assert rank(hyperbolic, laws=(5, law)).row("mine").rms_m < 1e-4
 
 
 @pytest.mark.parametrize(
@@ -272,18 +251,6 @@ def test_runs_are_fitted_together_with_a_formula(smoothed):
         rank(runs, laws=(5,), fix={"v_dr": 0.2})
 
 
-def test_the_report_draws_a_formula_in_every_picture(won):
-    text = page.render(won.ranking)
-    assert "does law mine" in text
-    assert "Parameters of law mine" in text
-    # in each row of the ranking, and with every formula
-    assert text.count("<math>") > len(won.ranking.as_json()["ranking"])
-    pictures = text.split("<svg ")[1:]
-    named = [one for one in pictures if "law mine" in one or ">mine" in one]
-    # all but the break-away levels, which are of the record
-    assert len(named) >= 6
-
-
 @pytest.fixture
 def run(won, belt_rig, tmp_path):
     return belt_rig.written(tmp_path / "run.h5", won.recording)
@@ -320,31 +287,3 @@ def test_files_hold_a_formula_whose_names_a_scene_changes_where_its_section_has_
     command.fit(run, laws="5", no_report=True)
     with h5py.File(run) as opened:
         assert "fit_law_mine" not in opened["entry"]
-
-
-def test_a_syntax_fault_is_shown_with_a_caret_and_exit_code_2(run, capsys):
-    assert application.run(command.cli.app, [str(run), "--law", "mine: Fs/(1 + gamma*s"]) == 2
-    *_, line, caret = capsys.readouterr().err.splitlines()
-    assert line[caret.index("^")] == "("
-
-
-@pytest.mark.usefixtures("undrawn_report")
-def test_a_batch_compares_formulas(belt_rig, tmp_path):
-    runs = [belt_rig.recording(law=3, duration=8.0, seed=seed) for seed in (1, 2)]
-    files = [belt_rig.written(tmp_path / f"{number}.h5", run) for number, run in enumerate(runs)]
-    answer = command.fit(*files, laws="5", law=["mine: Fs*(1 - s/v_s)"], each=True, report=tmp_path / "r.html")
-    assert answer.exit_code == 0
-    text = Path(application.plain(answer.data)["comparison"]).read_text()
-    assert "law mine" in text
-    drawn = text.partition('aria-label="Values and intervals of ')[2].partition('"')[0]
-    assert "v_s" in drawn
-
-
-@pytest.mark.parametrize(
-    ("name", "left"), [("stribeck-gaussian-viscous", 3e-5), pytest.param("logarithmic", 1e-5, marks=pytest.mark.slow)]
-)
-def test_a_published_law_that_is_not_the_contacts_is_fitted_as_well_as_it_can_be(smoothed, name, left):
-    """Near 0 friction it was nearest in the metric of the record: its search began there, and its motion was lost."""
-    ranking = rank(smoothed(law=5, duration=10.0), laws=(5, name))
-    assert ranking.laws_in_set == (5,)
-    assert ranking.row(name).rms_m < left

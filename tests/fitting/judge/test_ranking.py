@@ -46,18 +46,6 @@ def test_constant_friction_is_told_apart_by_the_start_up_drag(ranked, law):
     assert any("only the drag at the start-up" in text for text in ranking.warnings)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("no_rivals")
-def test_a_linear_ramp_without_datum_and_scatter_leaves_the_belt_speed_open(belt_rig, tmp_path):
-    # v_dr was 0.194 with an interval of 0.008, of 0.22; and a law without a piece of even samples ended in a traceback
-    scene = belt_rig.Scene(law=4, scatter=0.0, jitter=0.0, delta=2e-6, duration=10.0, G_slip=0.3)
-    time, _, position = belt_rig.sampled(scene)
-    ranking = rank(smooth(belt_rig.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(3, 4))
-    assert 4 in ranking.laws_in_set
-    check_intervals(ranking.row(4).parameters, {"v_dr": 0.22})
-    assert "Fs/m" not in ranking.row(4).parameters
-
-
 def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(belt_rig, tmp_path):
     # nothing held the belt's speed: 265685 +- 160 m/s was stated
     time, position = belt_rig.camera(1, 1.5e-5, duration=6.0, K=330.0, belt=6.0, damping=0.07, scatter=0.0)
@@ -68,14 +56,6 @@ def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(belt_rig, tmp_pa
     assert speed.stderr == pytest.approx(speed.value, rel=0.05)
     assert "d" not in ranking.row(2).parameters
     assert any("too short" in text for text in ranking.warnings)
-
-
-@pytest.mark.usefixtures("no_rivals")
-@pytest.mark.parametrize("law", [5, pytest.param(3, marks=pytest.mark.slow)])
-def test_nominal_disturbances_leave_the_verdict_right(belt_rig, law):
-    ranking = rank(smooth(belt_rig.recording(belt_rig.nominal(law, 4, duration=12.0))))
-    assert law in ranking.laws_in_set
-    assert ranking.best.law == law
 
 
 @pytest.mark.usefixtures("no_rivals")
@@ -91,15 +71,6 @@ def test_a_noise_free_run_is_fitted_to_its_counts(ranked_alone):
         assert row.parameters[name].value == pytest.approx(TRUE[name], rel=near)
 
 
-@pytest.mark.slow
-def test_static_and_kinetic_levels_are_separate(ranked):
-    ranking = ranked(law=5, static=1.3)
-    assert ranking.laws_in_set == (5,)
-    events = [event for event in ranking.events if not event.flag]
-    ratio = [event.break_away_level / event.kinetic_scale for event in events]
-    assert ratio == pytest.approx([1.3] * len(events), rel=5e-3)
-
-
 @pytest.mark.parametrize(
     ("law", "static"),
     [(4, 1.2), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2, 1.1), (6, 1.3), (6, 1.8)))],
@@ -112,17 +83,6 @@ def test_a_ramp_that_breaks_away_above_the_level_of_slip(ranked_alone, law, stat
     assert found["static"].value == pytest.approx(static, rel=0.04)
     assert found["d"].value == pytest.approx(0.03, rel=0.03)
     check_intervals(found, {"static": static, "d": 0.03, "v_dr": 0.22})
-
-
-@pytest.mark.usefixtures("no_rivals")
-def test_a_bare_track_without_any_calibration_still_finds_its_law(belt_rig):
-    recording = belt_rig.recording(law=5, duration=12.0)
-    bare = replace(recording.rig, belt_speed=None, datum=None, damping=None, mass=None)
-    ranking = rank(smooth(replace(recording, rig=bare)), laws=(3, 5, 6))
-    assert ranking.laws_in_set[0] == 5
-    assert "Fs" not in ranking.best.parameters
-    for missing in ("x0 was not given", "mass is not known"):
-        assert any(missing in warning for warning in ranking.warnings)
 
 
 def test_constant_friction_without_its_start_up_drag_is_refused(smoothed):
@@ -152,16 +112,6 @@ def test_a_gap_costs_its_cycle_and_no_more(belt_rig):
     assert ranking.laws_in_set == (5,)
     assert [event.flag for event in ranking.events if event.flag] == ["gap"]
     assert any("excludes these cycles: 2 (gap)" in warning for warning in ranking.warnings)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("no_rivals")
-@pytest.mark.parametrize(("law", "slope"), [(3, 0.1), (4, 0.15)])
-def test_short_sticks_are_sticks(simulated, law, slope):
-    # The mass sticks for a tenth of its period only; constant friction leaves 170 times what counting explains.
-    ranking = rank(simulated(f"friction.law={law}", f"friction.G_slip={slope}", "scatter.Fs=0.01"))
-    assert law in ranking.laws_in_set
-    assert ranking.best.fit.geometric_mean_rms < 5e-6
 
 
 NOISE = 0.1 * np.random.default_rng(4).standard_normal(12)

@@ -112,14 +112,3 @@ def test_draws_repeat_by_their_seed_and_have_the_error_of_the_metres_per_count(r
 def test_what_has_no_profile_is_refused(ranking, name, words):
     with pytest.raises(InputError, match=words):
         resampling.profile(ranking.best.fit, ranking.motion, ranking.best.parameters, name)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("asked_law_alone")
-def test_draws_have_the_error_of_a_rest_position_that_constant_friction_hides(belt_rig):
-    """The fit holds it, so that draws left x0 where it was, and the ramp with it."""
-    scene = {"law": 2, "rate": 200, "duration": 20.0}
-    ranking = rank(smooth(belt_rig.recording(**scene)), laws=2)
-    found, known = resampling.bootstrap(ranking.best.fit, ranking.motion, 100, 1), ranking.best.parameters
-    for name in ("x0", "d", "v_dr"):
-        assert found[name].std() == pytest.approx(known[name].stderr, rel=0.25)

@@ -34,17 +34,6 @@ def test_each_run_of_several_has_its_own_belt_speed():
     assert (found["v_dr"].lo, found["v_dr"].hi) == pytest.approx((0.18, 0.22))
 
 
-def test_one_law_alone_keeps_its_interval():
-    rows = [row(5, 0.2, 0.01), row(6, 0.3, 0.01, in_set=False)]
-    assert over_compatible_laws(rows, (5,)) == rows
-    assert law_dependent(rows, (5,)) == ()
-
-
-def test_a_law_that_hardly_determines_the_belt_speed_widens_its_interval():
-    found = over_compatible_laws([row(1, 2.0, 0.1), row(2, 70.0, 70.0)], (1, 2))[0].parameters["v_dr"]
-    assert (found.lo, found.hi) == (-70.0, 210.0)
-
-
 @pytest.mark.parametrize("in_set", [True, False])
 def test_what_a_compatible_law_leaves_undetermined_is_withheld(in_set):
     """Law 5 led a Stribeck contact without x0 by little, and its x0 missed the truth by 33 standard errors."""

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from fitting import job, rank
-from fitting.judge.formulas import fit_formula, fit_formulas
-from fitting.laws import PUBLISHED, Competitors, Law
+from fitting.laws import PUBLISHED
 from processing.smoothing import smooth
-from stickslip.errors import InputError
 from stickslip.units import Measured
 
 STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "m": 0.5, "k": 80.0, "c": 0.02}
@@ -65,12 +63,6 @@ def test_the_true_rest_position_is_not_contradicted_where_a_rival_fits_it(seen_b
         assert abs(found[name]["value"] - true) < 4 * found[name]["stderr"]
 
 
-def test_a_curve_that_is_negative_is_not_fitted(ranked):
-    curve = ranked(law=5).adequacy.curve
-    with pytest.raises(InputError, match="friction is negative"):
-        fit_formula(Law("mine", "Fs - 1000*s", bounds={"Fs": (0.0, 100.0)}), curve, others=())
-
-
 def test_every_published_law_is_fitted_or_says_why_not(ranked):
     # Which were fitted was decided by the measured curve, whose level is free without a rest position.
     document = ranked(law=5).as_json()
@@ -88,15 +80,3 @@ def test_every_published_law_is_fitted_or_says_why_not(ranked):
 def test_a_law_that_contains_one_that_describes_the_record_is_not_fitted(ranked):
     unfitted = {one.law: one.reason for one in ranked(law=3).unfitted}
     assert unfitted["stribeck"] == "it contains law 3 as a special case, and no curve fits better than that law"
-
-
-@pytest.mark.parametrize("formula", ["Fs - 1000*s", "Fs*exp(800*s)"])
-def test_a_published_curve_that_cannot_be_fitted_has_a_row_with_the_reason(ranked, monkeypatch, formula):
-    # A record was refused with "law logarithmic is no friction curve", which nobody had asked for; and a power curve
-    # that no motion could follow kept the true logarithmic one from being fitted.
-    negative = Law("logarithmic", formula, bounds={"Fs": (0.0, 100.0)})
-    monkeypatch.setattr("fitting.judge.formulas.PUBLISHED", {"logarithmic": negative})
-    ranking = ranked(law=5)
-    fits, unfitted, _ = fit_formulas(Competitors.of(5), ranking.adequacy.curve, [row.fit for row in ranking.rows[:1]])
-    assert fits == []
-    assert unfitted[0].reason

@@ -1,7 +1,6 @@
 """The minimiser with eliminated per-cycle unknowns finds what the full problem's closed form says."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.normal_equations import Block, Derivatives, LeastSquaresProblem
 
 CYCLES, SAMPLES, SHARED, LOCAL = 7, 11, 3, 2
-ALL = np.arange(CYCLES)
 ROWS = tuple(slice(k * SAMPLES, (k + 1) * SAMPLES) for k in range(CYCLES))
 
 
@@ -25,7 +23,7 @@ def in_one_block(evaluate):
     return wrapped
 
 
-def problem(evaluate, rows=ROWS, shared=SHARED, own=LOCAL, some=None, **changes):
+def problem(evaluate, rows=ROWS, shared=SHARED, own=LOCAL, **changes):
     """Return a problem without bounds and priors but those given, whose ``evaluate`` returns plain arrays."""
     cycles = len(rows)
     values = {
@@ -37,8 +35,7 @@ def problem(evaluate, rows=ROWS, shared=SHARED, own=LOCAL, some=None, **changes)
         "local_prior": np.zeros((cycles, own)),
         "local_precision": np.full((cycles, own), 1e-12),
     }
-    some = some and (lambda u, cycles, some=some: in_one_block(some(u, cycles)))
-    return LeastSquaresProblem(in_one_block(evaluate), rows, evaluate_cycles=some, **values | changes)
+    return LeastSquaresProblem(in_one_block(evaluate), rows, evaluate_cycles=None, **values | changes)
 
 
 def minimise(task, u=0.0, local=0.0, **how):
@@ -172,86 +169,3 @@ def test_a_start_that_cannot_be_followed_gives_none_and_steps_there_are_refused(
     found = minimise(problem(evaluate, (slice(0, 1),), 1, 1, local_precision=np.ones((1, 1))), 2.0)
     assert 0.5 <= found.u[0] < 0.7
     assert math.isfinite(found.cost)
-
-
-def test_a_bent_valley_is_followed_in_few_steps():
-    # u1 must follow exp(2 u0) along a floor far flatter than its walls
-    def evaluate(u, local, derivatives):
-        wall = 1e2 * (u[1] - math.exp(2 * u[0]))
-        return np.array([wall, u[0] - 2.0]), np.array([[-2e2 * math.exp(2 * u[0]), 1e2, 0.0], [1.0, 0.0, 0.0]])
-
-    task = problem(evaluate, (slice(0, 2),), 2, 1, local_precision=np.ones((1, 1)))
-    found = minimise(task, [0.0, 1.0], max_steps=70, tolerance=1e-12)
-    assert found.u == pytest.approx([2.0, math.exp(4.0)], rel=1e-6)
-
-
-def of_one_unknown_each(residual, slopes, precision, **changes):
-    """Return a problem of one shared unknown and one of each cycle's own; functions of (u, l), also of some cycles."""
-
-    def evaluate(u, local, derivatives, cycles=ALL):
-        slope = np.c_[slopes(u[0], local[:, 0], cycles)] if derivatives else np.empty((0, 0))
-        return residual(u[0], local[:, 0], cycles), slope
-
-    def some(u, cycles):
-        def evaluate_cycles(_, local, derivatives):
-            found, slope = evaluate(u, local, derivatives, cycles)
-            return found, slope[:, 1:]
-
-        return evaluate_cycles
-
-    rows = tuple(slice(k, k + 1) for k in range(CYCLES))
-    return problem(evaluate, rows, 1, 1, some, local_precision=np.full((CYCLES, 1), precision), **changes)
-
-
-def test_one_cycle_gone_astray_does_not_hold_up_the_others():
-    # a cliff lies between where the last cycle's own unknown starts and where its residual would be 0
-    def residual(u, local, cycles):
-        last = cycles == CYCLES - 1
-        return (u - 3.0) * (cycles + 1.0) + local - 5.0 * last + 1e6 * (last & (local > 0.5))
-
-    def slopes(u, local, cycles):
-        return cycles + 1.0, np.ones(cycles.size)
-
-    task = of_one_unknown_each(residual, slopes, 1e-4, weights=np.r_[np.ones(CYCLES - 1), 0.01])
-    found, held_up = (
-        minimise(one, 2.9, max_steps=8, tolerance=1e-10) for one in (task, replace(task, evaluate_cycles=None))
-    )
-    assert found.local[-1, 0] <= 0.5
-    assert found.u[0] == pytest.approx(3.0, abs=0.1)
-    assert found.cost < 0.2 * held_up.cost
-
-
-def test_a_cycle_in_a_bent_valley_of_its_own_costs_few_steps():
-    # the first cycle's own unknown follows exp(u) along steep walls; the others pull u from 0 to 2
-    def residual(u, local, cycles):
-        return np.where(cycles == 0, 1e4 * (local - math.expm1(u)), u - 2.0)
-
-    def slopes(u, local, cycles):
-        first = cycles == 0
-        return np.where(first, -1e4 * math.exp(u), 1.0), np.where(first, 1e4, 0.0)
-
-    task = of_one_unknown_each(residual, slopes, 1e-6)
-    found, alone = (minimise(one, tolerance=1e-10) for one in (task, replace(task, evaluate_cycles=None)))
-    assert found.u[0] == pytest.approx(2.0, abs=1e-4)
-    assert found.local[0, 0] == pytest.approx(math.expm1(found.u[0]), rel=1e-6)
-    assert found.steps <= alone.steps / 2
-
-
-def test_a_step_off_the_floor_of_a_bent_valley_is_led_back():
-    # A free curve behind a ramp took 22 steps, half of them refused, and stopped 0.01 in cost above the minimum.
-    first = ALL * SAMPLES
-
-    def evaluate(u, local, derivatives):
-        x, y, z = u
-        value, slopes = np.zeros(CYCLES * SAMPLES), np.zeros((CYCLES * SAMPLES, SHARED + LOCAL))
-        value[first], slopes[first, :2] = 1e4 * (y - math.exp(x)), (-1e4 * math.exp(x), 1e4)
-        value[first + 1], slopes[first + 1, 0] = x - 1.5, 1.0
-        value[first + 2], slopes[first + 2, 2] = z, 1.0
-        return value, slopes if derivatives else np.empty((0, 0))
-
-    bent = problem(evaluate, local_precision=np.ones((CYCLES, LOCAL)))
-    how = {"max_steps": 200, "tolerance": 1e-5}
-    plain, led_back = (minimise(bent, [0.5, math.exp(0.5), 1.0], corrections=n, **how) for n in (0, 3))
-    assert led_back.outcome == "converged"
-    assert led_back.u == pytest.approx([1.5, math.exp(1.5), 0.0], abs=1e-4)
-    assert led_back.steps < 0.6 * plain.steps

@@ -1,18 +1,16 @@
 """The stepped path: positions of the exact flow and in closed form, forces besides, and a spline that is a law."""
 
 import tracemalloc
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from fitting.model import path
-from fitting.model.flow import CREEP, LONGEST_STEP, SEARCH_STEP, Drag
+from fitting.model.flow import CREEP, Drag
 from fitting.model.path import Curve, FrictionSpline, follow, positions, spline_curve
 from fitting.model.tangents import local_tangents, shared_tangents, tangents
 from fitting.model.unknowns import Global, PerCycle
-from fitting.model.windows import ShootingWindows
 
 from .exact_flow import CONSTANT, HYPERBOLIC, LINEAR, F, K, V, exact_positions, unknowns
 
@@ -86,16 +84,6 @@ def test_a_steep_ramp_takes_few_steps(one_window, stick):
     assert follow(*arguments).steps.shape[0] < 2 * arguments[0].time.size
 
 
-@pytest.mark.parametrize("longest", [LONGEST_STEP, SEARCH_STEP])
-def test_a_ramp_that_one_step_crosses_is_left_on_its_other_side(one_window, longest):
-    """The mass went back to the edge that it came from, until it had changed its mode 200 times and was given up."""
-    windows, fast = one_window(), np.array([[0.149, V + 1e-3, 0.0, 0.0, 0.0, 0.0]])
-    u = unknowns(log_f=np.log(0.583), d=4.4e-7)
-    narrow = follow(windows, Curve(CONSTANT, True), u, fast, longest_step=longest)
-    jump = follow(windows, Curve(CONSTANT, False), u, fast)
-    assert narrow.model == pytest.approx(jump.model, abs=1e-6)
-
-
 def start(x, v, stick=False, level=1.0, following=1.0):
     """Return a cycle's own unknowns: place and speed at its start, levels before and after the landing."""
     state = (0.0, 0.0, x, v) if stick else (x, v, 0.0, 0.0)
@@ -147,19 +135,6 @@ def test_fading_lowers_the_level_as_a_smaller_level_would(one_window):
     assert worn == pytest.approx(np.array(motion)[::1000], abs=6e-6)  # at four times the nominal wear
 
 
-def test_some_cycles_are_predicted_as_among_all(one_window):
-    parts = [one_window(seconds=0.5, rate=100.0), one_window(stick=1, seconds=0.4, rate=100.0), one_window(rate=26.0)]
-    windows = ShootingWindows.join(parts)
-    windows = replace(windows, table=windows.table * [1, 1, 1, 1, 1, 0], parts=())  # three cycles of one run
-    u = unknowns(d=0.03, fade=0.001, compliance=0.02)
-    local = np.vstack([start(0.12, 0.15), start(-0.1, 0.2, stick=True), start(0.1, 0.05, level=1.1)])
-    cycles = np.array([0, 2])
-    position = positions(windows, Curve(HYPERBOLIC, True), u, local)
-    own = positions(windows.of_cycles(cycles), Curve(HYPERBOLIC, True), u, local[cycles])
-    assert np.array_equal(own, position[np.r_[0:50, 90:121]])
-    assert windows.of_cycles(cycles).rows == (slice(0, 50), slice(50, 81))
-
-
 def spline_of(function, fastest=0.9, pieces=13):
     s = np.linspace(0, fastest, 400)
     return FrictionSpline.over(fastest * np.linspace(0, 1, pieces + 1) ** 1.6).nearest(s, function(s))
@@ -184,14 +159,6 @@ def test_a_spline_that_is_a_line_moves_as_the_linear_law(one_window, ramp, compl
 def slope(model, h=1e-5):
     """Return the central difference of ``model(h)`` at 0."""
     return (model(h) - model(-h)) / (2 * h)
-
-
-def test_tangents_of_the_fade_are_differences(one_window):
-    windows, curve = one_window(), Curve(HYPERBOLIC, False)
-    found = shared_tangents(follow(windows, curve, unknowns(fade=0.02), SLIP), [Global.FADE])[:, 0]
-    expected = slope(lambda h: follow(windows, curve, unknowns(fade=0.02 + h), SLIP).model)
-    assert np.abs(found).max() > 1e-3  # m per 1/s
-    assert found == pytest.approx(expected, abs=1e-3 * np.abs(found).max())
 
 
 def test_a_force_and_a_change_of_the_belt_besides_are_followed_and_have_their_tangents(one_window):
@@ -247,29 +214,6 @@ def test_a_guide_is_followed_through_the_turn_of_the_mass(one_window, rate):
     exact = np.concatenate(exact)
     assert exact.size > 0.4 * rate
     assert found.model[: exact.size] == pytest.approx(exact[: windows.time.size], abs=2e-7 if rate > 500 else 2e-6)
-
-
-@pytest.mark.parametrize(("ramp", "d"), [(False, 0.0), (True, 0.03), (True, 1e-3)])
-@pytest.mark.parametrize("stick", [0, 1])
-def test_tangents_beside_a_drag_are_differences(one_window, ramp, d, stick):
-    windows, curve, u, local = followed(one_window, ramp=ramp, changes={"d": d}, shape={"stick": stick})
-    v = np.linspace(-2, 2, 2001)
-    drag = Drag(v, -0.3 * np.tanh(v / 0.1) - 0.2 * v * np.abs(v), 0.01)
-    path = follow(windows, curve, u, local, drag=drag)
-    assert positions(windows, curve, u, local, drag=drag) == pytest.approx(path.model, abs=5e-8)
-
-    def harder(h):
-        return follow(windows, curve, u, local, drag=drag._replace(acceleration=(1 + h) * drag.acceleration)).model
-
-    column = tangents(path, np.interp(path.velocity, v, drag.acceleration)[:, None])[:, 0]
-    seen = np.abs(column).max()
-    assert seen > 5e-5 or (stick and d == 0)
-    assert column == pytest.approx(slope(harder, 1e-4), abs=2e-3 * seen + 1e-9)
-    kinds = [Global.K, Global.DAMPING, Global.V_DR]
-    for slot, found in zip(kinds, shared_tangents(path, kinds).T, strict=True):
-        along = (np.arange(u.size) == slot).astype(float)
-        expected = slope(lambda h, along=along: follow(windows, curve, u + h * along, local, drag=drag).model)
-        assert found == pytest.approx(expected, abs=2e-3 * np.abs(found).max() + 1e-9)
 
 
 def test_points_are_stored_within_their_memory(one_window, monkeypatch):

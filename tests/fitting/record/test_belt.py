@@ -1,13 +1,9 @@
 """A counted belt: its compliance is measured apart from any law, and tells a ramp from a belt that slows."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.judge.friction import points
-from fitting.model.unknowns import Global
 from fitting.record import motion as belt_line
 
 pytestmark = pytest.mark.usefixtures("asked_laws_alone", "unmeasured_curve")
@@ -86,14 +82,3 @@ def test_a_belt_that_swings_is_told(simulated):
     ranking = rank(simulated("belt.channel=true", "belt.ripple=0.0044", "belt.ripple_hz=3", duration=12.0), laws=(5, 6))
     assert any("varies by 2 % at 3 Hz" in warning for warning in ranking.warnings)
     assert 5 in ranking.laws_in_set
-
-
-def test_measured_points_of_a_stick_lie_at_rest_on_the_compliant_belt(simulated):
-    ranking = rank(simulated("belt.channel=true", "droop.fraction=0.02", "friction.law=5"), laws=(5,))
-    w, _, stick = points(ranking.best.fit, ranking.motion)
-    assert abs(np.median(w[stick])) < 1e-4
-    fit = ranking.best.fit
-    q = np.where(np.array(fit.task.places) == Global.COMPLIANCE, 0.0, fit.q)
-    rigid = replace(fit, q=q)
-    unbent, _, _ = points(rigid, ranking.motion)
-    assert np.std(unbent[stick]) > 5 * np.std(w[stick])

@@ -1,6 +1,5 @@
 """A record is cut where the mass leaves the belt, and the random break-away falls into no window."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -36,18 +35,6 @@ def test_no_window_holds_a_break_away(law5, belt_rig):
                 assert not inside.any()
 
 
-def test_a_drag_with_a_gap_in_it_is_no_drag(law5):
-    """Its window was left out and the drag was not: of laws 1 and 2, RuntimeError "not the start-up drag"."""
-    motion, cut = law5
-    broken = motion.broken.copy()
-    broken[sum(cut.drag) // 2] = True
-    found = cycles.segment_cycles(replace(motion, broken=broken))
-    assert found.uses_start
-    assert found.drag == (0, 0)
-    assert found.cycles[0].stick[0] == found.cycles[0].stick[1]
-    assert found.cycles[1:] == cut.cycles[1:]
-
-
 @pytest.mark.parametrize("d", [0.03, 0.06])
 def test_the_drag_of_a_wide_ramp_is_found(motion_of, belt_rig, d):
     """Creep slows the mass down at once: it was taken for the slip, and law 2 was not distinguished from law 1."""
@@ -56,17 +43,6 @@ def test_the_drag_of_a_wide_ramp_is_found(motion_of, belt_rig, d):
     broken = break_aways(belt_rig, law=2, d=d)[0]
     assert motion.time[first] < 0.75
     assert 0 < broken - motion.time[end - 1] < 0.15
-
-
-def test_a_stick_window_begins_when_an_overtaking_has_ended(law5):
-    motion, cut = law5
-    first, end = cut.cycles[3].stick
-    velocity = motion.velocity.copy()
-    long = first + (end - first) // 2
-    velocity[first - 200 : long] += 0.1 * motion.belt_speed
-    later, same_end = cycles.segment_cycles(replace(motion, velocity=velocity)).cycles[3].stick
-    assert motion.time[later] == pytest.approx(motion.time[long] + motion.half_window, abs=3e-3)
-    assert same_end == end
 
 
 def test_a_long_record_is_fitted_by_cycles_spread_over_it(law5, monkeypatch):

@@ -84,15 +84,6 @@ def test_frequency_and_amplitude_are_found(simulated, changes, duration, hertz, 
     assert found.amplitude == pytest.approx(amplitude[0], rel=amplitude[1])
 
 
-@pytest.mark.slow
-def test_of_frequencies_that_sticks_show_alike_the_one_that_slips_obey_is_fitted(simulated):
-    ranking = rank(simulated(*FAST, "belt.ripple=0.003", "belt.ripple_hz=1.27", duration=8.0))
-    assert ranking.laws_in_set == (3,)
-    assert ranking.adequacy.adequate
-    assert ranking.best.parameters["ripple_hz"].value == pytest.approx(1.27, abs=0.005)
-    assert ranking.best.parameters["ripple"].value == pytest.approx(0.003, rel=0.05)
-
-
 def test_a_steady_belt_shows_none(simulated):
     assert found_in(simulated("friction.law=4", "scatter.Fs=0.1")) is None
 
@@ -145,23 +136,3 @@ def test_a_ramp_of_constant_friction_keeps_its_width_on_a_belt_that_ripples(simu
         found = ranking.best.parameters[name]
         assert found.lo <= truth <= found.hi
         assert found.hi - found.lo < 2 * error
-
-
-@pytest.mark.slow
-def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(smoothed, monkeypatch):
-    # The smoothing took tops of a sine for sticks, among which a ripple of 5 % at 11 Hz was found: the record was
-    # refused, since its sticks had several speeds.
-    wrong = ripple.Ripple(0.011, 0.0, 2 * math.pi * 11.5, 10.0)
-    monkeypatch.setattr(ripple, "find_ripple", lambda motion, cut: wrong)
-    ranking = rank(smoothed(law=1, damping=0.036, delta=50e-6))
-    assert ranking.laws_in_set == (1,)
-    assert "ripple" not in ranking.best.parameters
-
-
-@pytest.mark.slow
-def test_break_aways_from_a_belt_that_ripples_carry_its_ripple(ranked_rippled):
-    events = [event for event in ranked_rippled(3).events if not event.flag]
-    assert len(events) >= 10
-    assert [event.break_away_level / event.kinetic_scale for event in events] == pytest.approx(
-        [1.0] * len(events), abs=3e-3
-    )

@@ -5,30 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from daq.runfile.recording import Recording
 from fitting.record.motion import harmonic_share
 from processing.smoothing import smooth
 
-from ...rig import follow
-from .. import scales
 from ..frames import in_frame
-
-
-def _slip(number, rate_hz, noise=0.0):
-    """Return the slip's duration as estimated and as it is, s."""
-    contact = scales.draw(number).contact
-    time = np.arange(0, contact.duration, 1 / rate_hz)
-    true = follow(contact, time)
-    scatter = noise * contact.Fs / contact.k
-    readings = true.position + np.random.default_rng(number).normal(0, scatter, time.size)
-    expected = float(np.median(true.landings[1:] - true.break_aways[1 : true.landings.size]))
-    found = in_frame(smooth(Recording.from_arrays(time, readings))).samples_per_slip
-    return found / rate_hz, expected
-
-
-def test_noise_of_a_finely_sampled_record_makes_no_slips():
-    found, expected = _slip(34, 40 * scales.draw(34).rate_hz, noise=0.005)
-    assert found == pytest.approx(expected, rel=0.15)
 
 
 def test_the_harmonic_share_is_that_of_a_harmonic_motion():

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import pytest
 
 from fitting.laws import PUBLISHED
-from fitting.report.symbols import mathtext, parameter, typeset_formula
+from fitting.report.symbols import typeset_formula
 from rig_sim.friction.formula import Formula
 
 MARKS = {"\N{MINUS SIGN}": "-", "\N{INVISIBLE TIMES}": "*", "\N{MIDDLE DOT}": "*", "\N{FUNCTION APPLICATION}": ""}
@@ -50,21 +50,3 @@ def test_what_is_shown_is_the_formula(text):
     found = {name: renamed[name.replace("_", "")] for name in shown.parameters}
     for s in (0.2, 0.7):
         assert float(shown.value(s, found)) == pytest.approx(float(formula.value(s, values)), rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("name", "in_page", "in_picture"),
-    [
-        ("v_dr", "<msub><mi>v</mi><mi>dr</mi></msub>", r"$v_\mathrm{dr}$"),
-        ("gamma", "<mi>γ</mi>", "$γ$"),
-        ("x0", "<msub><mi>x</mi><mi>0</mi></msub>", "$x_0$"),
-        ("(Fs - b)/m", None, r"($F_s$ - $b$)/$m$"),
-        ("wear", "<mi>wear</mi>", r"$\mathrm{wear}$"),
-    ],
-)
-def test_the_name_of_a_parameter_is_typeset(name, in_page, in_picture):
-    """Pictures and tables had v_dr and gamma as they are typed."""
-    if in_page is not None:
-        assert parameter(name) == f"<math>{in_page}</math>"
-    assert parameter(name).count("<math>") == 1
-    assert mathtext(name) == in_picture

@@ -7,7 +7,7 @@ import pytest
 
 import rig_sim
 from daq.runfile.rig import Rig
-from fitting import noise_levels, rank
+from fitting import rank
 from fitting.judge.library import DEPARTURES
 from fitting.laws import SIX
 from fitting.model.flow import LONGEST_STEP
@@ -15,9 +15,8 @@ from fitting.model.forces import Force
 from fitting.model.predict import Model, curve_knots, free_curve_task, law_task, regress_curve
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_CYCLE, Global, PerCycle
-from fitting.search import exchange
-from fitting.search.exchange import exchange_starts, fit_laws
-from fitting.search.passes import finish, first_pass, settle, start_from_regression
+from fitting.search.exchange import fit_laws
+from fitting.search.passes import start_from_regression
 from processing.smoothing import smooth
 from rig_sim.motion.play import ScenePlayer
 
@@ -26,10 +25,6 @@ from ..frames import cut
 LIBRARY = {departure.name: departure for departure in DEPARTURES}
 TRUE = {Global.K: 35.184, Global.V_DR: 0.22}
 CONTAINED = ((1, 2), (3, 4), (5, 6), (1, 3), (1, 5))
-HARSH = (
-    "friction.law=5", "seed=3", "scatter.Fs=0.12", "wear.rate=0.00833", "joint.kick=0.0164", "jitter.rms=2e-4",
-    "damper.c=0.0102", "belt.ripple=0.02", "belt.ripple_hz=2.613",
-)  # fmt: skip
 KICKED = (
     "friction.law=5", "seed=70405", "scatter.Fs=0.0597", "wear.rate=0.00336", "joint.kick=-0.00834",
     "jitter.rms=2.05e-06", "damper.c=0.02712",
@@ -114,18 +109,6 @@ def test_a_break_away_level_of_a_ramp_is_found(simulated, changes, duration, tim
     check_parameters(found, true | {Global.SHAPE: 9.618, Global.D: 0.03, Global.STATIC: 1.3})
 
 
-@pytest.mark.slow
-def test_a_search_that_is_lost_starts_again(simulated):
-    """Law 5 ended 0.3 to 0.6 mm off by itself: cycles in poor minima of their own held k/m 2 to 3 % off."""
-    run = cut(simulated(*HARSH, duration=30.0))
-    task = law_task(SIX[5], [run])
-    lost = first_pass(task, start_from_regression(task))
-    assert lost.geometric_mean_rms > noise_levels.LOST * run.motion.resolution
-    (found,) = fit_laws((SIX[5],), [run])
-    assert found.geometric_mean_rms < 2 * run.motion.resolution
-    assert found.u[Global.K] == pytest.approx(35.184, rel=1e-4)
-
-
 @pytest.mark.usefixtures("asked_law_alone")
 def test_cycles_with_a_velocity_step_do_not_pull_at_the_parameters(simulated):
     """Three of 17 cycles meet the belt's joint: gamma was 11 and k/m 4 standard errors off."""
@@ -134,66 +117,6 @@ def test_cycles_with_a_velocity_step_do_not_pull_at_the_parameters(simulated):
     for name, true in {"k/m": 35.184, "gamma": 9.618, "c/m": 0.02712 / 0.3, "v_dr": 0.22}.items():
         found = row.parameters[name]
         assert abs(found.value - true) < 2.5 * found.stderr, name
-
-
-def sampled_coarsely(belt_rig, folder, curve, rate):
-    """Return the run of a contact seen by few samples a slip, with 5 um of noise."""
-    time, position = belt_rig.recorded(belt_rig.Contact(curve=curve, duration=20.0), rate=rate, count=0.0)
-    position += 5e-6 * np.random.default_rng(5).standard_normal(time.size)
-    return cut(smooth(belt_rig.imported(folder / "track.csv", time, position, decimals=7)))
-
-
-def test_a_law_whose_first_pass_is_far_off_starts_from_one_that_it_contains(belt_rig, tmp_path):
-    """Of slips of 25 samples under Stribeck friction law 5 was given up at 4000 times the noise, law 1 ended at 29."""
-    run = sampled_coarsely(belt_rig, tmp_path, "stribeck", 50.0)
-    errors = errors_of((1, 3, 5), [run])
-    assert errors[3] <= 1.001 * errors[1]
-    assert errors[5] < 10 * run.motion.resolution
-
-
-def test_a_law_of_few_samples_a_slip_ends_where_its_own_regression_leads(belt_rig, tmp_path):
-    """Of slips of 10 samples law 5 went on from law 3's end, and left 10 times the noise that its regression led to."""
-    run = sampled_coarsely(belt_rig, tmp_path, "hyperbolic", 20.0)
-    task = law_task(SIX[5], [run])
-    alone = finish(settle(first_pass(task, start_from_regression(task))))
-    assert errors_of([5], [run])[5] <= 1.0005 * alone.geometric_mean_rms
-
-
-@pytest.fixture(scope="module")
-def settled(runs_of):
-    """Give law 5 settled on a record that it made."""
-    task = law_task(SIX[5], runs_of(law=5, seed=1, duration=10.0))
-    return settle(first_pass(task, start_from_regression(task)))
-
-
-def astray(at, times):
-    """Bend the curve of a fit more until it errs so many times as much."""
-    q = at.q.copy()
-    found = at
-    while found.geometric_mean_rms < times * at.geometric_mean_rms:
-        q[at.task.places.index(Global.SHAPE)] *= 1.0001
-        found = replace(at, q=q, residual=at.model.residual(q, at.local))
-    return found
-
-
-@pytest.mark.parametrize("times", [1.1, 4.0])
-def test_a_law_that_errs_more_than_a_neighbour_starts_again_where_that_one_ended(settled, times):
-    """Law 4 of a record whose levels do not scatter stopped 0.4 % above what it could reach, law 6 did not."""
-    moved, kept = exchange_starts([settled.task] * 2, [astray(settled, times), settled], map)
-    assert moved.geometric_mean_rms == pytest.approx(settled.geometric_mean_rms, rel=1e-4)
-    assert kept is settled
-
-
-def test_a_fit_of_every_sample_is_not_replaced_by_one_of_the_thinned_record(settled):
-    """A camera's record leaves less when it is thinned: 956 um of a first pass replaced a finished fit of 988 um."""
-    finished = astray(finish(settled), 1.1)
-    assert exchange_starts([settled.task] * 2, [finished, settled], map) == [finished, settled]
-
-
-def test_a_settled_fit_that_errs_more_than_its_first_pass_is_not_kept(settled, monkeypatch):
-    """Law 4 at 136 um settled at 361 um, and law 6, which started from there, missed its break-away level."""
-    monkeypatch.setattr(exchange, "settle", lambda fit: astray(fit, 1.1))
-    assert exchange.settle_unless_worse(settled) is settled
 
 
 @pytest.mark.parametrize("free", [False, True])

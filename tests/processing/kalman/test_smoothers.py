@@ -7,7 +7,7 @@ import pytest
 
 import processing
 from processing import methods
-from processing.kalman import corner_kernel, motion_kernel, stick_slip, white_jerk
+from processing.kalman import corner_kernel, stick_slip, white_jerk
 from processing.kalman.white_jerk import first_state
 from processing.record import series
 from processing.record.setting import Setting
@@ -52,22 +52,6 @@ def test_a_mass_that_rests_and_is_then_dragged_slowly_is_no_straight_line(speed)
         assert np.sqrt(np.mean((found.position - true + pitch / 2) ** 2)) < pitch
         assert found.velocity[:400] == pytest.approx(0.0, abs=0.05 * speed)
         assert found.velocity[600:1900] == pytest.approx(speed, rel=0.05)
-
-
-@pytest.mark.parametrize("pitch", [1e-3, 0.3])
-def test_the_least_noise_of_a_reading_does_not_make_the_jerk_larger(pitch):
-    # Where a record of ten samples a slip shows no noise, the least one, of the pitch, multiplied the jerk by 1e10 too:
-    # velocities of 0.4 m/s came out as 200 m/s.
-    density, interval, n = 3.0, 1.0, 4000
-    step = np.array([[1.0, interval, interval**2 / 2], [0.0, 1.0, interval], [0.0, 0.0, 1.0]])
-    spread = density * np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
-    kicks = np.random.default_rng(4).normal(size=(n, 3)) @ np.linalg.cholesky(spread).T
-    state, position = np.zeros(3), np.zeros(n)
-    for i in range(1, n):
-        state = step @ state + kicks[i]
-        position[i] = state[0]
-    found = white_jerk.fit(series.Series(interval * np.arange(n), position, 0.0, pitch, interval, (slice(0, n),)))
-    assert found.jerk == pytest.approx(density, rel=0.1)
 
 
 def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
@@ -155,36 +139,6 @@ def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, re
     assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]
 
 
-@pytest.mark.parametrize("kernel", ["jerk", pytest.param("snap", marks=pytest.mark.slow)])
-def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
-    data = series.from_recording(recorded(motion(5, 0.3, start=0.1)))
-    time, position = data.time, data.position
-    first = first_state(time, position, 5e-12, 2 if kernel == "jerk" else 1)
-    at, kind = np.array([0.1, 0.2023]), np.array([stick_slip.START, stick_slip.LAND], np.uint8)
-    levels = stick_slip.NoiseLevels(*(np.full(18, value) for value in (1e5, 1e3, 5e-12)), np.ones(9), 9.5)
-    outcomes, modules = [], white_jerk.KERNELS if kernel == "jerk" else KERNELS
-    for make in (lambda function: function, lambda function: compiled(function, modules)):
-        found, state = np.empty((6, time.size)), first.copy()
-        order, process = stick_slip.SNAP, levels.process
-        label, corners = np.zeros(time.size, np.uint8), (at, kind)
-        if kernel == "jerk":
-            order, corners = white_jerk.JERK, (at[:0], kind[:0])
-            process = white_jerk.Noise(100.0, 5e-12).process
-        else:
-            make(corner_kernel.label_samples)(time, at, kind, stick_slip.REST, 0.1, label)
-        stored = np.empty((time.size, motion_kernel.stored_size(len(order))))
-        make(motion_kernel.forward)(order, time, position, label, *corners, process, state, stored)
-        sums = np.zeros((stick_slip.LABELS, 4)), np.zeros((stick_slip.KINDS, len(order), 2))
-        whole = time.size
-        make(motion_kernel.backward)(
-            order, time, label, *corners, process, stored, whole, found, 0, *sums, np.empty((0, 10))
-        )
-        outcomes.append(found)
-    one, two = outcomes
-    scale = np.abs(one).max(axis=1, keepdims=True)
-    assert (np.abs(one - two) / scale).max() < 1e-12
-
-
 def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recorded):
     data = series.from_recording(recorded(motion(5, 2.0)))
     landing = next(start for start, _ in motion(5, 2.0).sticks[1:]) - motion(5, 2.0).time[0]
@@ -214,21 +168,6 @@ def test_noise_levels_are_those_that_were_put_in(imported):
     noise = white_jerk.fit(series.from_recording(imported(np.arange(n) * h, x + np.sqrt(r) * rng.standard_normal(n))))
     assert noise.reading == pytest.approx(r, rel=0.05)
     assert noise.jerk == pytest.approx(q, rel=0.5)
-
-
-@pytest.mark.parametrize("method", ["rts", "auto"])
-def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihood(motion, imported, method):
-    # A track without a pitch, 0.3 m/s at 50 um and 1 kHz: in sticks third differences are nothing but rounding.
-    true = motion(5, 12.0, jitter=0.0, belt=0.3)
-    data = series.from_recording(imported(true.time, np.floor(true.x / 50e-6) * 50e-6))
-    noise = white_jerk.fit(data)
-    assert noise.reading == pytest.approx((50e-6) ** 2 / 12, rel=0.5)
-    found = methods.estimate(method, data, Setting())
-    assert velocity_error(found, true.v)[0] < 1.0
-
-
-def test_a_window_that_is_asked_for_means_savitzky_golay(motion, recorded):
-    assert processing.smooth(recorded(motion(5, 3.0)), window=41).method == "sg"
 
 
 def test_counts_put_back_give_the_velocity_of_the_clean_record(motion, recorded):

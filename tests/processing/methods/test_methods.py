@@ -49,12 +49,6 @@ def test_a_straight_line_comes_back_exactly_and_zero_as_zero(method, time, impor
     assert np.abs(motion.acceleration).max() <= 1e-6 * bool(start)
 
 
-def test_position_is_told_in_the_recordings_own_coordinates(method, motion, recorded):
-    run_ = recorded(motion(5, 3.0))
-    found = run(method, run_)
-    assert np.abs(found.position - run_.position).max() < 1e-4
-
-
 @pytest.mark.parametrize("gap", [500, 0])
 def test_nothing_crosses_a_gap_or_a_segment(method, imported, gap):
     """Either between two halves that are a metre apart: half a second without samples, or a new segment."""

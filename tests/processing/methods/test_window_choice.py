@@ -66,13 +66,6 @@ def test_rest_tells_nothing_and_gets_a_plain_window(imported):
     assert (found.window, found.order, found.reading_error) == (41, 4, 0.0)
 
 
-def test_rest_before_the_motion_does_not_shorten_the_window(motion, recorded):
-    short, long = (
-        methods.choose_window(series.from_recording(recorded(motion(5, 30.0, start=start)))) for start in (0.5, 15.0)
-    )
-    assert long.window == pytest.approx(short.window, rel=0.25)
-
-
 @pytest.mark.parametrize(("text", "samples"), [("41", 41), (41, 41), ("20ms", 21), ("0.02 s", 21), ("20000us", 21)])
 def test_a_window_is_read_as_people_write_it(imported, text, samples):
     data = series.from_recording(imported(np.arange(100) * 1e-3, np.arange(100.0)))

@@ -85,12 +85,6 @@ def test_x4_up_minus_down_is_the_position_and_its_phase_the_levels(
     assert np.all(np.diff(counts.down) >= 0)
 
 
-def test_a_turning_point_between_two_samples_is_counted_both_ways() -> None:
-    nodes = Nodes(np.array([0.0, 1.0]), np.array([0.5, 0.5]) * DELTA, np.array([40.0, -40.0]) * DELTA)
-    counts = QuadratureEncoder(encoder("x4"), 0.5 * DELTA).read(nodes, np.array([1]))
-    assert (counts.up[0], counts.down[0]) == (10, 10)  # the parabola rises by 40/4 counts
-
-
 def test_what_no_encoder_can_follow_is_refused_by_name() -> None:
     far = Nodes(np.array([0.0, 1.0]), np.array([0.0, 1e300]), np.array([0.0, 0.0]))
     with pytest.raises(InputError, match="no encoder can measure"):

@@ -10,18 +10,11 @@ import pytest
 
 import rig_sim
 from rig_sim.cli.app import app
-from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.results.maps import format_with_error
 from stickslip.console import application
 
 from ..shared import answer
-
-
-def test_cycle_has_the_promised_keys() -> None:
-    found = answer("cycle base")
-    promised = "period t_stick t_slip x_slip x_stick x_min x_max v_min v_max sequence outcome".split()
-    assert set(promised) <= set(found)
 
 
 def test_scenes_lists_name_title_and_terms(capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,18 +61,6 @@ def test_run_writes_the_exact_motion(tmp_path: Path, ending: str) -> None:
     np.testing.assert_array_equal(table["v"], path_exact.nodes.v[path_exact.samples])
     np.testing.assert_array_equal(table["F"], path_exact.F)
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
-
-
-@pytest.mark.slow
-def test_a_long_list_of_events_is_the_same_by_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    # A step limit of a million interpreted steps used to take most of a minute.
-    forced = rig_sim.scene("base", **{"drive.u0": 0.2, "drive.omega": 0.3})
-    interpreted = rig_sim.events(forced, 400.0)
-    monkeypatch.setattr(motion_module, "INTERPRETED_STEPS", 50)
-    assert interpreted.steps > 100
-    assert rig_sim.events(forced, 400.0) == interpreted
-    assert motion_module.events(forced, 400.0, max_steps=120).outcome == "step limit"
-    assert motion_module.events(forced, 400.0, max_steps=40).steps == 40
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """The reference against closed forms and the kernel; the peers; and ``rig-sim compare``."""
 
 import re
-from functools import cache, partial
+from functools import cache
 
 import mpmath
 import pytest
@@ -10,10 +10,7 @@ from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
 from rig_sim.comparison.error_vs_time import compare, describe_peers, difference, find_tightest, pair_events
 from rig_sim.comparison.reference import Uncovered, events
-from rig_sim.comparison.solve_ivp import SOLVERS, make_ivp_solver
-from rig_sim.comparison.stepping import sample_phase
 from rig_sim.integrate.events import EventList, list_events
-from rig_sim.motion.play import play_events
 from rig_sim.scenes.scene import scene
 from stickslip.console import application
 
@@ -44,27 +41,6 @@ def test_reference_has_the_period_of_law_5_to_18_digits():
 def test_reference_says_what_it_does_not_cover():
     with pytest.raises(Uncovered, match="driven ramp"):
         events(flow_of(6, d=1e-6, u0=0.1, omega=1.0), 0.0, 0.0, 10.0)
-
-
-def events_by(played, method, rtol, max_steps=2_000_000):
-    return play_events(
-        played, 15.0, partial(sample_phase, make_ivp_solver(method, rtol, dense=False)), max_steps=max_steps
-    )
-
-
-@pytest.mark.parametrize("method", SOLVERS)
-@pytest.mark.parametrize("law", [4, 5])
-def test_peers_find_the_same_events(method, law):
-    exact = list_events(flow_of(law), 0.0, 0.0, 15.0)
-    found = events_by(scene("base", **{"friction.law": law}), method, 1e-8)
-    assert found.kinds == exact.kinds
-    assert found.t == pytest.approx(exact.t, abs=1e-4)
-
-
-def test_an_explicit_method_in_a_steep_ramp_ends_at_its_limit():
-    steep = scene("base", **{"friction.law": 6, "friction.d": 1e-6})
-    found = events_by(steep, "dop853", 1e-6, max_steps=5000)
-    assert found.outcome == "step limit"
 
 
 def test_lists_that_part_have_no_error_but_say_where():
@@ -110,6 +86,8 @@ def test_compare_ranks_the_methods_of_the_contract():
     for setting in ("interpreted", "compiled"):
         assert rows["exact", setting]["error"] <= 1e-14
     assert all({"method", "setting", "error", "cpu_s", "us_per_cycle"} <= set(row) for row in found["rows"])
+    near = {method for (method, _), row in rows.items() if row["error"] is not None and row["error"] < 1e-6}
+    assert near == {"exact", "rk4-henon", "dop853", "radau", "lsoda"}
     assert "mpmath" in found["reference"]
     assert rows["exact", "compiled"]["error"] < rows["dop853", "rtol 2.3e-14"]["error"]
 
@@ -149,20 +127,3 @@ def test_a_list_with_a_landing_found_twice_is_no_reference():
     assert all(lists[peer].t == right["exact", "interpreted"].t for peer in peers.values())
     assert describe_peers(peers) == ("; compared: exact with dop853 rtol 1e-12; dop853, radau with exact interpreted")
     assert difference(twice, pair_events(lists["exact", "interpreted"]), 9.0) == (None, "other events from t = 4")
-
-
-def test_lists_of_other_lengths_part_at_the_first_event_that_is_not_in_both():
-    """An event found twice at t = 4 was reported at the end of the shorter list."""
-    events = [(float(t), "SN"[t % 2] + ">" + "NS"[t % 2]) for t in range(1, 20)]
-    found = listed(*events[:4], (4.0, "N>S"), (4.0, "S>N"), *events[4:])
-    assert difference(found, events, 30.0) == (None, "other events from t = 4")
-
-
-def test_the_exact_method_has_an_error_where_a_rival_finds_other_events():
-    """At which of its tolerances DOP853 finds one landing twice depends on the processor's dot products."""
-    found = compare(scene("rig"), 11.0, methods=("exact", "dop853", "radau"))
-    rows = {(row.method, row.setting): row for row in found.results}
-    assert rows["radau", "rtol 1e-09"].error < 1e-9
-    peer = re.search("compared: exact with dop853 (rtol [^;]*); dop853, radau with exact interpreted", found.reference)
-    assert rows["exact", "interpreted"].error == rows["dop853", peer[1]].error is not None
-    assert all(row.note.startswith("other events") == (row.error is None) for row in rows.values())

@@ -124,9 +124,3 @@ def test_a_motion_by_any_method_ends_by_name(method: str, changes: dict[str, obj
     assert not motion.advance(1000.0)
     assert motion.outcome.name == outcome
     assert motion.steps == steps or outcome == "force reversal"
-
-
-def test_a_phase_that_grazes_its_edge_ends_within_its_step() -> None:
-    exact, _ = played("exact", {"friction.law": 1})
-    found, _ = played("rk4-henon", {"friction.law": 1}, step=0.01)
-    assert np.abs(found[1:3] - exact[1:3]).max() < 1e-5

@@ -58,12 +58,12 @@ class BouncingBall(FormulaMap):
 
 
 class Henon(FormulaMap):
-    """x' = a + u - x^2 + b y, y' = x."""
+    """x' = a + u - x^2 + b y, y' = x, without its derivative."""
 
     def __init__(self, a=1.4, b=0.3):
-        super().__init__([2.0, 2.0], strength=a)
+        super().__init__([2.0, 2.0], strength=a, start=[0.1, 0.1])
         self.a, self.b = a, b
 
     def step(self, state, change=0.0):
         x, y = state
-        return [self.a + change - x * x + self.b * y, x], [[-2.0 * x, self.b], [1.0, 0.0]], 1.0
+        return [self.a + change - x * x + self.b * y, x], None, 1.0

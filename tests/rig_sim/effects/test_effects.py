@@ -10,11 +10,10 @@ from daq.wire.quadrature import PHASE
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.board.disturbances import SilentStretches
 from rig_sim.motion.play import events
-from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.scene import scene
-from rig_sim.scenes.sections import Gaps, SlipLoss
+from rig_sim.scenes.sections import Gaps
 
-from ..boards import DELTA, Record, frames_of, record
+from ..boards import Record, frames_of, record
 
 LOSSES: dict[str, object] = {"slip_loss.rate": 0.8, "slip_loss.counts": 60, "slip_loss.samples": 4}
 GAPS: dict[str, object] = {"gaps.rate": 0.5, "gaps.duration": 0.05}
@@ -40,26 +39,6 @@ def test_lost_counts_are_missing_for_good_and_against_the_motion() -> None:
         assert np.sign(lost) == np.sign(motion[at + 1] - motion[at - 1])
     # the board sees nothing odd: levels and counters of the slipping cog agree
     np.testing.assert_array_equal(losing.net % 4, PHASE[losing.levels])
-
-
-def test_a_loss_follows_the_cubic_over_its_samples() -> None:
-    from rig_sim.board.disturbances import LosingCog
-
-    cog = LosingCog(SlipLoss(rate=1000.0, counts=100, samples=10), 0, DELTA)
-    t = np.arange(41) / 1000
-    seen = cog.apply_losses(Nodes(t, 2.0 * t, np.full(41, 2.0)), np.array([5]), 1e-3)
-    s = np.clip((t - 0.005) / 0.01, 0, 1)
-    np.testing.assert_allclose(2.0 * t - seen.x, 100 * DELTA * (3 * s**2 - 2 * s**3), atol=1e-15)
-    np.testing.assert_allclose(
-        2.0 - seen.v, np.gradient(2.0 * t - seen.x, t, edge_order=2), atol=0.15 * 100 * DELTA / 0.01
-    )
-    assert cog.lost == pytest.approx(100 * DELTA)
-    assert cog.losses == []
-
-
-def test_a_mass_at_rest_loses_nothing() -> None:
-    still: dict[str, object] = {"belt.start": 100, **LOSSES, "slip_loss.rate": 50}
-    assert np.ptp(record(SimulatedBoard(scene("rig", **still)), 3000).net) == 0
 
 
 def test_the_exact_motion_sent_is_the_mass_not_the_slipping_cog() -> None:

@@ -69,16 +69,5 @@ def test_the_slip_of_law_5_is_an_independent_solvers() -> None:
     assert first.x == pytest.approx(expected.y_events[0][0][0], abs=1e-12)
 
 
-def test_two_per_cent_of_ripple_shows_at_slip_onset_as_the_inertia_it_costs() -> None:
-    # The mass leaves the belt where the spring and its own inertia together reach Fs.
-    ripple, hz = 0.02 * 0.22, 3.0
-    found = events(scene("rig", **{"belt.ripple": ripple, "belt.ripple_hz": hz, "scatter.Fs": 0}), 20.0).events
-    onsets = [(event.t, event.x) for event in found if event.kind == "S>N" and event.t > 0.6]
-    assert len(onsets) > 5
-    for t, x in onsets:
-        inertia = 0.3 * ripple * 2 * math.pi * hz * math.cos(2 * math.pi * hz * (t - 0.5))
-        assert 10.5552 * x + inertia == pytest.approx(1.379353536, rel=1e-12)
-
-
 def test_a_rippling_belt_drives_the_mass_and_has_no_orbit() -> None:
     assert cycle(scene("base", **RIPPLE)).outcome == "driven"

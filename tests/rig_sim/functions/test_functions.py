@@ -17,7 +17,7 @@ from rig_sim.results import quench as control
 from stickslip.console import application
 from stickslip.errors import InputError
 
-from ..dynamics.textbook import Logistic
+from ..dynamics.textbook import Henon, Logistic
 from ..shared import answer
 
 FUNCTIONS = [name for name in rig_sim.__all__ if inspect.isfunction(getattr(rig_sim, name))]
@@ -205,18 +205,6 @@ def test_the_example_of_the_docstring_is_true(name):
 
 
 # Systems of one's own -------------------------------------------------------------------------------------------------
-
-
-class Henon(rig_sim.FormulaMap):
-    """x' = a + u - x^2 + b y, y' = x."""
-
-    def __init__(self, a):
-        super().__init__([2.0, 2.0], strength=a, start=[0.1, 0.1])
-        self.a = a
-
-    def step(self, state, change=0.0):
-        x, y = state
-        return [self.a + change - x * x + 0.3 * y, x], None, 1.0
 
 
 def test_a_map_of_ones_own_has_the_exponent_basins_and_orbits_of_the_textbook():

@@ -1,6 +1,5 @@
 """What a caller from Python is told: the call to make, never a flag."""
 
-import math
 import re
 
 import pytest
@@ -23,15 +22,9 @@ def said(call):
 MISTAKES = [
     (lambda: rig_sim.scene("rig", friction=9), "write rig_sim.scene('rig', **{'friction.KEY': VALUE})"),
     (lambda: rig_sim.events("base", until=-1), "until: is -1; use a positive number"),
-    (lambda: rig_sim.events("base", until="soon"), "until: 'soon'"),
-    (lambda: rig_sim.events("base", until=math.nan), "until: is nan"),
     (lambda: rig_sim.events("base", until=None), "until: is None; use a number"),
     (lambda: rig_sim.events("base", until=10, max_steps=2.5), "max_steps: is 2.5, not a whole number"),
     (lambda: rig_sim.run("base", until=10, rate=10, method="exat"), "method: unknown method 'exat'; use one of exact"),
-    (
-        lambda: rig_sim.run("base", until=10, rate=10, step=0.1),
-        "step: exact has no step; remove it, or use method='rk4-henon'",
-    ),
     (lambda: rig_sim.run("base", until=10, rate=10, output="a.pdf"), "choose a name that ends in .h5 or .csv (output)"),
     (lambda: rig_sim.floquet("damped", orbit="unstabel"), "orbit: unknown orbit 'unstabel'; did you mean 'unstable'?"),
     (
@@ -42,7 +35,6 @@ MISTAKES = [
     (lambda: rig_sim.map("base", d=0.1), "write rig_sim.scene('base', coupling={'a': 1.2, 'b': 1.3})"),
     (lambda: rig_sim.map("two-mass", d="much"), "d: 'much' contains something that is not a number"),
     (lambda: rig_sim.basins(rig_sim.FormulaMap([1.0, 1.0])), "write super().__init__(..., interval=(lo, hi))"),
-    (lambda: rig_sim.lyapunov("base"), "write rig_sim.scene('base', **{'drive.u0': 0.2, 'drive.omega': 1.6})"),
     (lambda: rig_sim.sweep("two-mass", over="belt.speed=0.1:0.2:3", jobs=0), "jobs: is 0; use 1 or more"),
     (lambda: rig_sim.cycle("two-mass"), "use rig_sim.events, run, fixed_point"),
     (
@@ -50,7 +42,6 @@ MISTAKES = [
         "write rig_sim.scene('forced', **{'drive.omega': 1.6})",
     ),
     (lambda: rig_sim.lock("forced", period=1, budget="little"), "budget: is 'little'; use a number"),
-    (lambda: rig_sim.shaker(m=-1, k=1, c=0, gamma=0, a=0, phi=0), "m: is -1; use a number above 0"),
     (lambda: rig_sim.shaker(m=1, k=1, c=0, gamma=0, a=0, phi=0, band=3), "use (low, high) in rad/s"),
 ]
 

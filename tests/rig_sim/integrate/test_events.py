@@ -58,37 +58,6 @@ def test_law_1_grazes_with_sticks_of_zero_length(start, touches, within):
     assert found.x[-2 * n :] == pytest.approx([1.0] * 2 * n, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("v", "within"), [(0.5, 1e-7), (math.nextafter(0.5, 1.0), 1e-15), (math.nextafter(0.5, 0.0), 1e-15)]
-)
-def test_law_1_on_its_grazing_circle_and_an_ulp_beside_it_stays_there(v, within):
-    found = list_events(flow_of(1), 1.0, -v, 1000.0)
-    assert found.outcome == "completed"
-    assert found.steps < 1000
-    x, v_end = follow_to(flow_of(1), 1.0, -v, 1000.0)
-    assert math.hypot(x - 1.0, v_end) == pytest.approx(0.5, abs=within)
-
-
-def test_on_a_resting_belt_constant_friction_takes_twice_its_cone_off_each_swing():
-    found = list_events(flow_of(1, v_belt=0.0), 3.3, 0.0, 1e6)
-    assert (found.outcome, found.kinds) == ("completed", ("N>P", "P>S"))
-    assert found.t == pytest.approx((math.pi, 2.0 * math.pi), abs=4e-15)
-    assert found.x == pytest.approx((-1.3, -0.7), abs=4e-15)
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_no_friction_swings_freely(law):
-    found = list_events(flow_of(law, Fs=0.0, v_belt=0.1), 0.3, 0.0, 100.0)
-    if law in (3, 4):
-        assert found.outcome == "force reversal"
-        return
-    assert found.outcome == "completed"
-    if law in (1, 5):  # v = -0.3 sin t crosses the belt's 0.1
-        first = math.pi + math.asin(1 / 3)
-        assert found.kinds[:2] == ("N>P", "P>N")
-        assert found.t[:2] == pytest.approx((first, 3 * math.pi - first), abs=1e-14)
-
-
 def test_without_friction_nothing_is_lost_in_a_million_time_units():
     x, v = follow_to(flow_of(5, Fs=0.0, v_belt=0.5), 0.3, 0.0, 1e6)
     assert x == pytest.approx(0.3 * math.cos(1e6), abs=1e-9)
@@ -114,14 +83,6 @@ def test_linear_friction_that_falls_fast_ends_where_its_force_would_change_sign(
 
         expected = mpmath.findroot(lambda tau: u(tau) - 0.5 + 1 / mpmath.mpf(G_slip), (0.5, 2.5), solver="anderson")
     assert abs(float(expected) - t) <= 4e-15
-
-
-def test_a_swing_at_resonance_grows_as_the_closed_form_until_the_force_reverses():
-    # without stick by u0/2 a unit of time: x = 1 - G v/k + (u0/2) t sin t - ...
-    free = flow_of(3, c=0.05, u0=2.0, omega=1.0, v_belt=8.0, G_slip=0.05)
-    assert list_events(free, 0.6, 0.0, 1000.0).outcome == "force reversal"
-    expected = (0.6 + 7.0 * math.sin(7.0), math.sin(7.0) + 7.0 * math.cos(7.0))
-    assert follow_to(free, 0.6, 0.0, 7.0) == pytest.approx(expected, abs=1e-13)
 
 
 # A mass that comes to rest --------------------------------------------------------------------------------------------
@@ -182,31 +143,6 @@ def test_a_ramp_that_breaks_away_above_its_level_is_the_motion_of_a_general_solv
     assert found.t == pytest.approx(times, abs=1e-9)
 
 
-@pytest.mark.parametrize("law", [5, 6])
-@pytest.mark.parametrize("drive", [{}, {"u0": 0.2, "omega": 1.1}])
-def test_gamma_0_equals_constant_friction(law, drive):
-    found = list_events(flow_of(law, gamma=0.0, **drive), 0.0, 0.0, 30.0)
-    assert found == list_events(flow_of(law - 4, **drive), 0.0, 0.0, 30.0)
-
-
-@pytest.mark.parametrize("law", [1, 5])
-def test_closed_form_series_and_steep_ramp_agree(law):
-    # a drive too weak to see takes another road: series for slip, driven closed form for the ramp
-    for flow in (flow_of(law), flow_of(law + 1, d=1e-4), flow_of(law + 1)):
-        plain = list_events(flow._replace(c=0.05, static=1.2), 0.0, 0.0, 25.0)
-        driven = list_events(flow._replace(c=0.05, static=1.2, u0=1e-300, omega=1.3), 0.0, 0.0, 25.0)
-        assert driven.kinds == plain.kinds
-        assert driven.t == pytest.approx(plain.t, abs=1e-12)
-        assert driven.x == pytest.approx(plain.x, abs=1e-12)
-
-
-@pytest.mark.parametrize("law", [1, 2])
-def test_a_start_on_the_slip_point_begins_slip_once(law):  # of other laws: the reference
-    found = list_events(flow_of(law), 1.0, 0.5, 6.2)
-    assert found.kinds[0] == "S>N"
-    assert found.kinds.count("S>N") == 1
-
-
 # Magnitudes -----------------------------------------------------------------------------------------------------------
 
 
@@ -263,8 +199,9 @@ def test_the_last_turn_of_a_thousand_million_time_units_is_whole_periods_after_t
 # Bounds ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("law", [1, 3, 5])
-@pytest.mark.parametrize("changes", [{}, {"v_belt": -0.5}, {"static": 1.2, "c": 0.01, "x0": 0.3}], ids=str)
+@pytest.mark.parametrize(
+    ("law", "changes"), [(1, {}), (3, {}), (5, {}), (5, {"v_belt": -0.5, "static": 1.2, "c": 0.01, "x0": 0.3})], ids=str
+)
 def test_a_million_time_units_of_a_jump_law_are_the_work_of_a_transient_and_one_cycle(law, changes):
     flow = flow_of(law, **changes)
     once = list_events(flow, 0.0, 0.0, 60.0, every_cycle=True)
@@ -290,13 +227,8 @@ def test_law_6_to_a_million_time_units_costs_its_transient():
         (("drive.u0=0.2", "drive.omega=1e6"), "1000", "step limit"),
         (("friction.law=2",), "1e300", "step limit"),
         (("spring.k=1e100",), "1e10", None),
-        (("mass.m=1e100",), "1e10", None),
-        (("friction.Fs=1e100",), "1e10", None),
         (("friction.gamma=1e100",), "1e10", None),
-        (("belt.speed=1e100",), "1e10", None),
         (("belt.speed=1e-100",), "1e10", None),
-        (("start.x=1e100",), "1e10", None),
-        (("damper.c=1e100",), "1e10", None),
         (("drive.u0=1e100", "drive.omega=1e-100"), "1e10", None),
     ],
     ids=lambda value: "+".join(value) if isinstance(value, tuple) else str(value),

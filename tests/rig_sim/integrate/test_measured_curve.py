@@ -13,7 +13,6 @@ from rig_sim.comparison import reference
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.spline import about, find_problem, piece_of, spline_table
 from rig_sim.integrate.events import list_events
-from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
 from rig_sim.systems.driven import driven_map_with_starts
 from rig_sim.systems.landing import LandingMap
@@ -91,37 +90,10 @@ def test_stick_slip_that_ends_in_swings_without_stick_is_found_and_named() -> No
     assert cycle(curve._replace(c=end + 1e-9)).outcome == "pure slip"
 
 
-def test_a_scene_with_a_curve_plays_with_scatter_and_start_up() -> None:
-    changes = {"friction.law": 0, "friction.curve": STRIBECK, "scatter.Fs": 0.05, "belt.start": 1.0}
-    played = scene("base", **changes)
-    found = events(played, 60.0)
-    assert found.outcome == "completed"
-    assert sum(event.kind == "S>N" for event in found.events) > 5
-    t, x, v, F = ScenePlayer(scene("base", **{"friction.law": 0, "friction.curve": STRIBECK})).columns(
-        np.linspace(0.0, 20.0, 2001)
-    )
-    slipping = np.abs(v - 0.5) > 1e-6
-    balance = np.gradient(v, t) + x - F  # m x'' + k x = F, with m = k = 1
-    assert np.quantile(np.abs(balance[slipping]), 0.95) < 1e-3
-
-
 def test_a_curve_that_falls_to_nothing_ends_in_force_reversal() -> None:
     found = list_events(flow([[0.0, 1.0], [0.1, 0.5], [0.3, 0.1], [0.4, 0.01]]), 3.0, 0.0, 30.0)
     assert found.outcome == "force reversal"
     assert find_problem([(0.0, 1.0), (1.0, 0.5)]) == ""
-
-
-def test_extremes_of_a_cycle_whose_mass_turns_on_a_knot_are_seen() -> None:
-    """With a point of the curve at the belt's speed x_min was -0.505 and x_max 1.
-
-    A turn that fell on the end of a step was overlooked.
-    """
-    points = [[0.0, 1.0], [0.1, 0.8], [0.3, 0.6], [0.5, 0.4], [1.0, 0.3], [2.0, 0.15]]
-    played = scene("base", **{"friction.law": 0, "friction.curve": points})
-    _, x, _, _ = ScenePlayer(played).columns(np.linspace(20.0, 40.0, 20_001))
-    found = cycle(played.flow())
-    assert found.x_min == pytest.approx(x.min(), abs=1e-6)
-    assert found.x_max == pytest.approx(x.max(), abs=1e-6)
 
 
 POINTS = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.analyses.limit_cycles.branches import continuation
 from rig_sim.analyses.limit_cycles.fixed_point import fixed_point
 from rig_sim.analyses.limit_cycles.floquet import floquet
 from rig_sim.analyses.limit_cycles.limit_cycle import cycle
-from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED
 from rig_sim.motion.play import ScenePlayer, events
@@ -93,21 +91,7 @@ def test_the_cycle_is_that_of_an_independent_integration(changes: dict[str, obje
     assert (found.x_min, found.x_max) == pytest.approx((x.min(), x.max()), abs=1e-8)
 
 
-def test_a_formula_is_varied_as_a_law_is() -> None:
-    """Hopf and fold over gamma, orbits and eigenvalues, of the formula against those of law 5."""
-
-    def special(friction: dict[str, object]) -> list[tuple[str, float]]:
-        def at(gamma: float) -> Flow:
-            return scene("damped", **{**friction, "friction.gamma": gamma, "belt.speed": 0.6, "damper.c": 0.38}).flow()
-
-        found = continuation(at, np.linspace(3.0, 5.0, 3))
-        return [(point.kind, point.value) for point in found.points]
-
-    law, formula = special({"friction.law": 5}), special({"friction.formula": HYPERBOLA})
-    assert [kind for kind, _ in formula] == [kind for kind, _ in law]
-    assert len(law) >= 1
-    assert [value for _, value in formula] == pytest.approx([value for _, value in law], rel=1e-5)
-
+def test_orbit_and_eigenvalues_of_a_formula_are_those_of_the_law() -> None:
     both = [scene("damped", **friction).flow() for friction in ({"friction.law": 5}, {"friction.formula": HYPERBOLA})]
     assert fixed_point(both[1]).x == pytest.approx(fixed_point(both[0]).x, rel=1e-8)
     assert fixed_point(both[1]).eigenvalues == pytest.approx(fixed_point(both[0]).eigenvalues, rel=1e-4)

@@ -16,13 +16,10 @@ CHANGES = [  # scene, its changes, words of the refusal
     # names
     ("base", ["frction.law=3"], "frction", "did you mean 'friction'"),
     ("base", ["friction.gama=3"], "friction.gama", "did you mean 'gamma'"),
-    ("base", ["cupling.a=1"], "unknown section 'cupling'"),
-    ("base", ["belt.riple=1"], "belt.riple", "did you mean 'ripple'"),
     ("base", ["sed=1"], "sed", "did you mean 'seed'"),
     ("base", ["mass=3"], "mass is 3"),
     ("base", ["seed.x=3"], "seed", "no key 'x'"),
     ("base", ["friction.Fs"], "section.key=value"),
-    ("base", ["friction.Fs="], "section.key=value"),
     # numbers
     *(("base", [f"{key}={value}", "drive.omega=1"], key) for key in FINITE for value in ("nan", "inf", "-inf")),
     *(
@@ -33,7 +30,6 @@ CHANGES = [  # scene, its changes, words of the refusal
     ("base", ["friction.Fs=-1"], "friction.Fs", "-1"),
     ("base", ["friction.G_stick=5"], "friction.G_stick", "5"),
     ("base", ["friction.law=7"], "friction.law", "7"),
-    ("base", ["friction.law=x"], "friction.law", "'x'"),
     ("base", ["friction.static=0.9"], "friction.static", "0.9"),
     ("base", ["belt.start=-1"], "belt.start", "-1"),
     ("base", ["drive.u0=0.2"], "drive.omega is missing"),
@@ -53,12 +49,10 @@ CHANGES = [  # scene, its changes, words of the refusal
     ("forced", ["belt.ripple=0.05", "belt.ripple_hz=0.31"], "belt.ripple cannot be combined with a drive"),
     ("rig", [DROOP, "friction.static=1.2"], "static"),
     ("rig", ["droop.fraction=0.5"], "fraction is 0.5", "use less than 0.4726"),
-    ("rig", ["droop.fraction=1.0"], "droop.fraction"),
     ("rig", [DROOP, "friction.Fs=0.0"], "Fs"),
     ("base", ["droop.fraction=0.1", HYPERBOLA], "droop with friction.formula is not modelled"),
     ("base", [*SHAKER, "belt.speed=0"], "set belt.speed"),
     ("base", [*SHAKER, "shaker.a=-1"], "shaker.a"),
-    ("base", [*SHAKER, "shaker.phi=inf"], "shaker.phi"),
     ("base", [*SHAKER, "shaker.phase=1"], "unknown key 'shaker.phase'"),
     ("base", ["shaker.a=5", "shaker.phi=3.1"], "shaker.a = 5, shaker.phi = 3.1: the mass would creep"),
     ("base", ["shaker.a=0.5", "shaker.phi=2.2", *NARROW], "creep"),
@@ -76,7 +70,6 @@ CHANGES = [  # scene, its changes, words of the refusal
         ("base", ["friction.law=0", f"friction.curve={curve}"], said)
         for curve, said in (
             ("[[0.0, 1.0]]", "1 point"),
-            ("[]", "0 points"),
             ("[[0.0, 1.0], [0.5, 0.8], [0.3, 0.7]]", "increase"),
             ("[[0.0, 1.0], [0.5, 0.8], [0.5, 0.7]]", "increase"),
             ("[[-0.1, 1.0], [0.5, 0.8]]", "below 0"),
@@ -96,7 +89,6 @@ CHANGES = [  # scene, its changes, words of the refusal
             ("friction.s0=0", "friction.s0 is 0; use a number above 0"),
             ("friction.s1=-1", "friction.s1 is -1; use a number 0 or more"),
             ("friction.s0=3 mm", "friction.s0: 'mm' is not a unit of stiffness"),
-            ("friction.so=3", "unknown key 'friction.so'"),
             ("belt.speed=0", "requires a moving belt; set belt.speed"),
             ("friction.static=1.2", "friction.static cannot be combined with law lugre"),
             ("friction.contact=jump", "friction.contact cannot be combined with law lugre"),
@@ -153,7 +145,6 @@ FILES = [  # content, words of the refusal
             ('formula = "Fc"\nFc = 1.0\ncontact = "ramp"', "a ramp requires friction.d"),
             ('formula = "Fc"\nFc = "1"', "friction.Fc is '1'"),
             ('formula = "Fc"\nFc = nan', "friction.Fc is nan"),
-            ('formula = "Fc"\nFc = 1e200', "friction.Fc is 1e+200"),
             ("formula = 3", "friction.formula is 3"),
             ('formula = "Fc*(1 - s"\nFc = 1.0', "friction.formula: this bracket is not closed", "^"),
             ('formula = "Fc - log(s)"\nFc = 1', "friction.formula: friction is not finite at s = 0 m/s", "log of 0"),

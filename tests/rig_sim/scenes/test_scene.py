@@ -35,12 +35,6 @@ def test_every_builtin_scene_carries_what_every_law_needs(name: str, law: int) -
     assert (flow.gamma > 0) == (law in (5, 6))
 
 
-def test_a_law_drops_the_parameters_it_does_not_need() -> None:
-    friction = changed("friction.law=3").friction
-    assert friction is not None
-    assert friction.parameters() == {"Fs": 1.0, "G_slip": 0.05}
-
-
 def test_ramp_width_and_slope_are_one_parameter() -> None:
     assert changed("friction.law=6").flow().d == 0.2
     by_width = changed("friction.law=6", "friction.d=0.1")

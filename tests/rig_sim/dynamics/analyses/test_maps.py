@@ -10,10 +10,8 @@ from rig_sim.analyses.exponent import exponent
 from rig_sim.analyses.map_branches import map_continuation
 from rig_sim.analyses.periodic_points import find_periodic_orbits
 from rig_sim.analyses.section import attractors_at
-from rig_sim.analyses.sweep import AttractorAt, number_as_before
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
-from rig_sim.results.maps import PLACES, find_jumps
 from rig_sim.scenes.scene import scene
 from rig_sim.systems.stick import StickMap
 
@@ -101,18 +99,6 @@ def test_a_motion_without_global_stick_has_a_section_all_the_same():
     assert row.share == 1.0
 
 
-def test_attractors_keep_their_numbers_although_their_basins_change():
-    def at(value, number, centre, share):
-        return AttractorAt(value, number, (centre,), 1, share, (centre, centre))
-
-    first = [at(0.1, 1, 0.5, 0.7), at(0.1, 2, -0.5, 0.3)]
-    second = number_as_before([at(0.2, 1, -0.52, 0.6), at(0.2, 2, 0.47, 0.4)], first)
-    assert [(row.attractor, row.points) for row in second] == [(1, (0.47,)), (2, (-0.52,))]
-    third = number_as_before([at(0.3, 1, -0.55, 1.0)], second)
-    assert [row.attractor for row in third] == [2]
-    assert [row.attractor for row in number_as_before([at(0.4, 1, 0.4, 0.9), at(0.4, 2, -0.6, 0.1)], third)] == [1, 2]
-
-
 def test_the_start_may_be_an_attractor():
     assert scene("two-mass", **{"start.attractor": 2}).start.d is None
     found = answer("events two-mass --until 40 --set start.attractor=2")
@@ -151,15 +137,3 @@ def test_bifurcations_of_the_two_masses(span, kind, name):
     (point,) = found["points"]
     assert (point["kind"], point["parameter"]) == (kind, "belt.speed")
     assert point["value"] == pytest.approx(expected["value"], abs=1e-9)
-
-
-def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep():
-    # The jump of 0.03 at d = -0.21 of the two masses was drawn as a line, the steep piece of f^2 at d = 0.2 was not.
-    f = OnInterval(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
-    x = np.linspace(f.lo, f.hi, PLACES)
-    y = f.images(x)
-    found = find_jumps(f, 1, x, y)
-    assert np.abs(np.diff(y))[np.searchsorted(x, 0.3) - 1] > 0.02, "the root is not steep enough to be mistaken"
-    assert x[found] == pytest.approx(0.7, abs=2.0 / PLACES)
-    smooth = OnInterval(lambda x: x * x, -1.0, 1.0)
-    assert find_jumps(smooth, 1, x, smooth.images(x)).size == 0

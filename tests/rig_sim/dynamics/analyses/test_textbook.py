@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from rig_sim.analyses.exponent import exponent, rotation_number
-from rig_sim.analyses.settling import Settled, find_attractors, is_same, settle
+from rig_sim.analyses.settling import find_attractors, settle
 from rig_sim.analyses.sweep import sweep
-from rig_sim.flow.modes import COMPLETED, OUTCOMES
 
 from ..textbook import BouncingBall, Circle, Logistic, OnInterval
 
@@ -36,16 +35,6 @@ def test_starts_on_one_attractor_share_it_and_two_attractors_stay_apart():
     wells = OnInterval(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
     rows = find_attractors(wells, [np.array([side]) for side in (1.0, -1.0, 1.1)], 0.0)
     assert [(row.share, row.drive_periods) for row in rows] == [(pytest.approx(2 / 3), 1), (pytest.approx(1 / 3), 1)]
-
-
-def test_a_start_that_has_not_quite_settled_is_on_the_orbit_all_the_same():
-    """Beside a bifurcation one orbit used to count as two attractors, of periods 4 and 8 or of none."""
-    orbit = np.array([[0.1], [0.4], [0.7], [0.9]])
-    late = Settled(np.concatenate([orbit, orbit + 2e-4]), 8, OUTCOMES[COMPLETED])
-    early = Settled(orbit, 4, OUTCOMES[COMPLETED])
-    assert is_same(early, late, np.ones(1))
-    assert is_same(late, early, np.ones(1))
-    assert not is_same(Settled(orbit[:2], 2, OUTCOMES[COMPLETED]), early, np.ones(1))
 
 
 def test_an_orbit_approached_from_both_sides_has_period_one():

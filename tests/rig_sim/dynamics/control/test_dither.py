@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rig_sim.analyses.control import dither
 from rig_sim.analyses.control.dither import quench, sample_positions, threshold
 from rig_sim.cli import app as cli
 from rig_sim.flow.flow import Flow
@@ -29,16 +28,6 @@ def test_the_threshold_is_that_of_the_swing_of_a_mass_and_a_spring():
     last = solve_ivp(field, (0.0, 200.0), [0.0, 0.0], method="DOP853", rtol=1e-10, t_eval=np.linspace(195, 200, 5000))
     assert last.y[1].max() == pytest.approx(flow.v_belt, rel=1e-5)
     assert threshold(Flow(v_belt=0.085, omega=10.0)) == pytest.approx(0.085 * 99.0 / 10.0, rel=1e-14)
-
-
-@pytest.mark.slow
-def test_the_motion_under_a_very_fast_drive_is_compiled_and_the_same(monkeypatch):
-    """A picture of one took a minute, interpreted."""
-    flow, times = Flow(v_belt=0.085, omega=300.0, u0=10.0), np.linspace(0.0, 20.0, 301)
-    interpreted = sample_positions(flow, 0.0, 0.0, times)
-    monkeypatch.setattr(dither, "MANY_PERIODS", 0)
-    assert (sample_positions(flow, 0.0, 0.0, times) == interpreted).all()
-    assert len(interpreted) == 301
 
 
 def test_a_drive_too_slow_to_follow_leaves_the_swings_out(capsys):

@@ -66,17 +66,6 @@ def test_intervals_are_those_of_every_single_phase_and_amplification(
         assert plane.is_stable(a, phi) == inside
 
 
-def test_curves_have_the_growth_and_the_frequency_that_they_are_for() -> None:
-    plane = ShakerPlane(0.5, 2.0, 0.3)
-    for curve, part, wanted in ((plane.growth_curve(-0.2, 6.0), 1, -0.2), (plane.frequency_curve(1.7, 6.0), 0, 1.7)):
-        drawn = np.flatnonzero(np.isfinite(curve.a))
-        assert drawn.size > 500
-        assert np.max(curve.a[drawn]) <= 6.0
-        for index in drawn[::100]:
-            Omega = exact_roots(0.5, 2.0, 0.3, float(curve.a[index]), float(curve.phi[index]))[0]
-            assert (Omega.real, Omega.imag)[part] == pytest.approx(wanted, abs=1e-9)
-
-
 def test_thesis_thresholds_and_best_phases() -> None:
     plane = ShakerPlane(1.0, 1.0, 0.3)
     for phi, threshold in ((math.pi, 0.3), (2.5, THESIS["phi_2_5"]), (2.0, THESIS["phi_2_0"])):

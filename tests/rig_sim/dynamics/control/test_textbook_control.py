@@ -46,20 +46,6 @@ def test_logistic_map(start: float) -> None:
     assert abs(triples[0].multipliers[0]) < abs(triples[1].multipliers[0])
 
 
-def test_henon_map() -> None:
-    a, b = 1.4, 0.3
-    x = ((b - 1) + math.sqrt((1 - b) ** 2 + 4 * a)) / 2
-    [fixed] = locked_on(Henon(), [0.1, 0.1], 1, 0.01).orbits
-    assert fixed.points[0] == pytest.approx((x, x), abs=1e-12)
-    unstable, stable = -x - math.sqrt(x * x + b), -x + math.sqrt(x * x + b)
-    assert fixed.multipliers == pytest.approx((unstable, stable), abs=1e-9)
-    [pair] = locked_on(Henon(), [0.1, 0.1], 2, 0.01).orbits
-    assert np.prod(pair.multipliers) == pytest.approx(b * b, abs=1e-9)  # the area shrinks by b each time
-    assert sum(pair.points[:, 0]) == pytest.approx(1 - b, abs=1e-12)
-    longer = locked_on(Henon(), [0.1, 0.1], 7, 0.005).orbits
-    assert len(longer) == 4  # all that there are
-
-
 def test_a_phase_is_compared_the_short_way_round() -> None:
     found = locked_on(BouncingBall(0.4, -8.0), [1.0, 2.0], 1, 0.05).orbits[0]
     phase, v = found.points[0]

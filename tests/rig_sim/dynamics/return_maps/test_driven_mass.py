@@ -5,11 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from rig_sim.analyses.control import dither
 from rig_sim.analyses.settling import find_attractors
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
-from rig_sim.systems import driven as driven_mass
 from rig_sim.systems.driven import DrivenMap, driven_map_with_starts
 
 from ...shared import CHAPTERS, answer
@@ -124,18 +122,6 @@ def test_every_motion_ends_in_a_named_outcome(flow, outcomes):
     rows = find_attractors(*driven_map_with_starts(flow, 0.0, 0.0, "slip", 1), 0.0)
     assert {row.outcome for row in rows} == outcomes
     assert all(bool(row.points) == (row.outcome == "completed") for row in rows)
-
-
-def test_a_drive_far_faster_than_the_mass_ends_by_name(monkeypatch):
-    """Its motions were followed for thousands of millions of drive periods, all of which were kept."""
-    monkeypatch.setattr(driven_mass, "STEPS_OF_VALUE", 200_000)
-    monkeypatch.setattr(dither, "STEPS_IN_ALL", 200_000)
-    fast = thesis(1e6)
-    (row,) = find_attractors(*driven_map_with_starts(fast, 0.0, 0.0, "slip"), 0.0)
-    assert (row.attractor, row.points, row.outcome) == (0, (), "step limit")
-    found = dither.quench(fast, 0.0, 0.0)
-    assert (found.outcome, found.quenched, found.simulated_threshold) == ("step limit", False, None)
-    assert found.threshold == pytest.approx(0.085 * 1e6)
 
 
 def test_a_sweep_names_a_drive_without_force_and_one_without_period():

@@ -106,19 +106,6 @@ def test_the_search_of_the_thesis_needs_far_more_than_its_budget() -> None:
     assert not found.stays
 
 
-def test_a_motion_under_control_is_sampled_to_its_landings() -> None:
-    f = driven(1.6)
-    states = orbit(f, f.first_landing(0.0, 0.0).state, 4)
-    changes = np.array([0.0, 0.001, -0.002])
-    states = states[:1]
-    for change in changes:
-        states = np.vstack([states, f.after(states[-1], float(change))])
-    t, x, v = f.sample_motion(states[:-1], changes, 100.0)
-    assert np.all(np.diff(t) >= 0)
-    assert (x[0], x[-1], v[0], v[-1]) == pytest.approx((states[0, 1], states[-1, 1], 0.085, 0.085), abs=1e-9)
-    assert np.max(v) < 0.085 + 1e-9
-
-
 @pytest.mark.parametrize(
     ("flags", "outcome"),
     [
@@ -145,11 +132,3 @@ def test_a_search_is_bounded_in_integrator_steps(monkeypatch: pytest.MonkeyPatch
     found = answer(f"lock forced --period 7 --budget 0.01 --method {method}", *coulomb)
     assert (found["outcome"], found["locked"], found["orbit"]) == ("step limit", False, None)
     assert "shorter period" in found["advice"]
-
-
-def test_control_that_meets_the_step_limit_keeps_the_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(control, "STEPS_IN_ALL", 450_000)  # 350 000 are taken up to the control
-    monkeypatch.setattr(control, "STEPS_PER_EVENT", 0)
-    found = answer("lock forced --period 2 --budget 0.0001")
-    assert (found["outcome"], found["locked"], found["events_to_lock"]) == ("step limit", False, None)
-    assert len(found["orbits"]) > 1

@@ -14,7 +14,7 @@ from rig_sim.friction.curve import CONSTANT, LINEAR
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.pair_motion import SAMPLES, PairMotion
 from rig_sim.motion.two_masses import two_mass_events
-from rig_sim.results import branches, maps
+from rig_sim.results import maps
 from rig_sim.scenes.scene import scene
 from rig_sim.systems import stick as stick_map
 from rig_sim.systems.stick import COARSE, FINE, StickMap
@@ -164,28 +164,6 @@ def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(monkeypatch):
     assert "step limit" in answer("basins two-mass --cells 300", code=2)["error"]["what"]
     swept = answer("sweep two-mass --over coupling.a=1:1.2:2")["rows"]
     assert [(row["attractor"], row["points"], row["outcome"]) for row in swept] == [(0, [], "step limit")] * 2
-
-
-def test_a_slow_drive_until_the_end_of_time_ends_at_the_step_limit():
-    """No overflow either: warnings are errors here."""
-    found = answer("events forced --until 1e300 --set drive.omega=1e-9 --max-steps 2000")
-    assert (found["outcome"], found["steps"]) == ("step limit", 2000)
-
-
-def test_the_values_of_a_continuation_share_its_steps(monkeypatch):
-    """Each value, and each step towards a special point, used to have 10^8 steps of its own: hours for stiff pairs."""
-    monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 400_000)  # one value takes 200 000
-    monkeypatch.setattr(branches, "STEPS_PER_VALUE", 100_000)
-    error = answer("continue two-mass --over belt.speed=0.15:0.153:4", code=2)["error"]
-    assert "step limit" in error["what"]
-
-
-def test_many_iterates_are_compiled_and_the_same():
-    # A thousand events used to be interpreted one by one: 100 000 took a quarter of an hour.
-    few = answer("map two-mass --d 0.05 --iterate 9")
-    many = answer("map two-mass --d 0.05 --iterate 1009")
-    assert many["word"].split()[:9] == few["word"].split()
-    assert len(many["word"].split()) == 1009
 
 
 def test_a_belt_at_rest_has_no_map():
