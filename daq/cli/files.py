@@ -119,10 +119,11 @@ def replay(
     if kind == "journal":
         from daq.finalise import run as finalise
         from daq.runfile import journal
+        from daq.runfile.spill import read_columns
 
         markers = journal.read_markers(journal.markers_path(source))
         run, summary = finalise.run_data(journal.read(source), markers, "daq replay")
-        extra = summary.as_json()
+        run, extra = read_columns(run), summary.as_json()
     else:
         run = replaying.decode_run(source)
         extra = replaying.count_faults(run) | {"warnings": [], "clock_ppm": run.clock_ppm}

@@ -6,7 +6,7 @@ The file is in the folder of the output, and the system removes it with the proc
 import tempfile
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar, cast
 
@@ -165,6 +165,13 @@ class Shelf(Generic[T]):
 
     def __iter__(self) -> Iterator[T]:
         return (self[number] for number in range(len(self)))
+
+
+def read_columns(data: T) -> T:
+    """Return a dataclass, and those in it, with arrays in place of its columns."""
+    read = {name: value[:] for name, value in vars(data).items() if isinstance(value, Column)}
+    read |= {name: read_columns(value) for name, value in vars(data).items() if is_dataclass(value)}
+    return cast(T, replace(cast(Any, data), **read))
 
 
 def blocks(values: NDArray[Any]) -> Iterator[NDArray[Any]]:

@@ -10,7 +10,7 @@ import pytest
 from daq.cli.app import app
 from daq.imports import capture, replay, sigrok
 from daq.imports.options import ProbeOptions
-from daq.runfile import journal, store
+from daq.runfile import journal, spill, store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from daq.wire import frames
@@ -171,6 +171,18 @@ def test_another_calibration_moves_positions_and_no_raw_data(part, tmp_path):
     np.testing.assert_allclose(after.position, 2 * (before.position - 0.001), rtol=1e-12)
     assert after.rig.mass == Measured(0.5)
     assert after.digest == before.digest
+
+
+@pytest.mark.parametrize("stated", [[], ["--metres-per-count", "2e-5", "--x0", "0"]])
+def test_a_journal_that_does_not_fit_into_memory_is_replayed_as_another(part, tmp_path, monkeypatch, stated):
+    first, second = tmp_path / "a.h5", tmp_path / "b.h5"
+    assert application.run(app, ["replay", str(part), "-o", str(first), *stated]) == 0
+    monkeypatch.setattr(spill, "MEMORY_BYTES", 0)
+    assert application.run(app, ["replay", str(part), "-o", str(second), *stated]) == 0
+    one, other = store.load(first), store.load(second)
+    np.testing.assert_array_equal(other.position, one.position)
+    assert other.digest == one.digest
+    assert other.config_toml == one.config_toml
 
 
 def test_an_import_is_replayed_as_it_stands(tmp_path):
