@@ -170,7 +170,8 @@ class Shelf(Generic[T]):
 def read_columns(data: T) -> T:
     """Return a dataclass, and those in it, with arrays in place of its columns."""
     read = {name: value[:] for name, value in vars(data).items() if isinstance(value, Column)}
-    read |= {name: read_columns(value) for name, value in vars(data).items() if is_dataclass(value)}
+    parts = {name: value for name, value in vars(data).items() if is_dataclass(value)}
+    read |= {name: read_columns(cast(Any, part)) for name, part in parts.items()}
     return cast(T, replace(cast(Any, data), **read))
 
 
