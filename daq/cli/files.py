@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from daq.cli import sentences
-from daq.cli.settings import read_text
 from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
 from daq.recorder.notes import NO_NOTES, NoteFlags
+from stickslip import toml
 from stickslip.console import application
 from stickslip.console.application import Answer, Json
 from stickslip.console.flags import OUTPUT, Force
@@ -108,7 +108,7 @@ def replay(
     target = output or _choose_output(source, kind)
     suffix.check_run(target)
     atomic.refuse_existing(target, force, source)
-    calibration = None if rig is None else Rig.from_toml(read_text(rig, "--rig"), str(rig))
+    calibration = None if rig is None else Rig.from_toml(toml.read_text(rig, "--rig"), str(rig))
     stated = known.stated()
     if kind == "capture":
         return _replay_capture(source, target, options, (calibration or Rig()).stating(stated), force)
