@@ -1,9 +1,20 @@
 """TOML from people, boards and strangers: every fault of the text is one error that names its place."""
 
 import tomllib
+from pathlib import Path
 from typing import Any
 
 from stickslip.errors import InputError, nearest
+
+
+def read_text(path: Path, where: str) -> str:
+    """Return the text of a file; ``where`` is what named it."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise InputError("no such file", str(path), f"check {where}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as text ({error})", str(path), "use a TOML file") from error
 
 
 def parse(text: str, where: str) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from daq.cli import sentences
-from daq.cli.settings import read_text
 from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
 from daq.recorder.notes import NO_NOTES, NoteFlags
+from stickslip import toml
 from stickslip.console import application
 from stickslip.console.application import Answer, Json
 from stickslip.console.flags import OUTPUT, Force
@@ -108,7 +108,7 @@ def replay(
     target = output or _choose_output(source, kind)
     suffix.check_run(target)
     atomic.refuse_existing(target, force, source)
-    calibration = None if rig is None else Rig.from_toml(read_text(rig, "--rig"), str(rig))
+    calibration = None if rig is None else Rig.from_toml(toml.read_text(rig, "--rig"), str(rig))
     stated = known.stated()
     if kind == "capture":
         return _replay_capture(source, target, options, (calibration or Rig()).stating(stated), force)
@@ -117,7 +117,13 @@ def replay(
             flag = "--dir" if name == "direction" else f"--{name.replace('_', '-')}"
             raise InputError(f"{flag} applies only to .sr captures, but this file is a {kind}", str(source), "omit it")
     if kind == "journal":
-        run, extra = replaying.finalise_journal(source)
+        from daq.finalise import run as finalise
+        from daq.runfile import journal
+        from daq.runfile.spill import read_columns
+
+        markers = journal.read_markers(journal.markers_path(source))
+        run, summary = finalise.run_data(journal.read(source), markers, "daq replay")
+        run, extra = read_columns(run), summary.as_json()
     else:
         run = replaying.decode_run(source)
         extra = replaying.count_faults(run) | {"warnings": [], "clock_ppm": run.clock_ppm}

@@ -64,7 +64,7 @@ def resolve(flags: BoardFlags) -> dict[str, Any]:
     user = _read_user_settings()
     named = os.environ.get("STICKSLIP_RIG") or user.get("rig")
     rig = flags.rig or (Path(named) if named else None)
-    text = None if rig is None else read_text(rig, "--rig")
+    text = None if rig is None else toml.read_text(rig, "--rig")
     board = {} if text is None else read_board_section(text, str(rig))
     settings = {} if text is None else {"calibration": text}
     for key, kind in KEYS.items():
@@ -101,7 +101,7 @@ def _read_user_settings() -> dict[str, Any]:
     except OSError:  # a home directory without read permission
         return {}
     where = str(path)
-    content = toml.parse(read_text(path, where), where)
+    content = toml.parse(toml.read_text(path, where), where)
     for section in content:
         check_known(section, ["board", "rig"], "key", where)
     settings = _check_section(content.get("board", {}), where)
@@ -110,15 +110,6 @@ def _read_user_settings() -> dict[str, Any]:
             raise InputError(f"rig is {content['rig']!r}", where, "write the path of a rig.toml in quotes")
         settings["rig"] = content["rig"]
     return settings
-
-
-def read_text(path: Path, where: str) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise InputError("no such file", str(path), f"check {where}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", str(path), "use a TOML file") from error
 
 
 def _check_section(section: Any, where: str) -> dict[str, Any]:

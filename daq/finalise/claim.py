@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from daq.runfile import journal, journal_records
+from daq.runfile.regular import open_regular
 from stickslip.errors import InputError
 from stickslip.output.lock import FileLock
 
@@ -17,15 +18,12 @@ def claim_journal(path: Path) -> Iterator[Callable[[], None]]:
 
     Raises InputError if a recording is writing it, another process is finishing it, or it does not exist.
     """
+    open_regular(path, journal.USE).close()
     try:
         lock = FileLock(path)
     except BlockingIOError as error:
         what, do = explain_lock(path)
         raise InputError(what, str(path), do) from error
-    except FileNotFoundError as error:
-        raise journal.make_missing_error(path) from error
-    except IsADirectoryError as error:
-        raise journal.make_folder_error(path) from error
     except OSError:  # no locks here, or no right to open it for writing
         yield path.unlink
         return

@@ -17,6 +17,8 @@ from daq.stream.timeline import Piece
 from daq.wire import counters, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
 
+# What `RecordingQuality` has of `DataTotals`.
+COUNTED = ("samples", "lost", "crc_errors", "illegal", "phase_errors", "both_moved", "retimed", "travel")
 NOT_IN_JSON = ("travel", "unit", "port_lost")
 LEAST_HELD = 0.9  # share of the requested samples: with fewer, or more than the rest lost, a run is incomplete
 # A drift of fewer standard errors than CLEAR is not significant.  Its bound is then reported, unless that is more than
@@ -205,11 +207,7 @@ def assess_run(recorded: journal.Journal, totals: DataTotals, run: Recording) ->
     """Return the findings of a run, without the warnings about the data (`find_warnings`)."""
     first, last = totals.places or (0, 0)
     return RecordingQuality(
-        samples=totals.samples,
-        lost=totals.lost,
-        crc_errors=totals.crc_errors,
-        illegal=totals.illegal,
-        phase_errors=totals.phase_errors,
+        **{name: getattr(totals, name) for name in COUNTED},
         segments=len(totals.reasons),
         rate_hz=run.rate_hz,
         measured_rate_hz=(last - first) / totals.last_s if totals.last_s > 0 else run.rate_hz,
@@ -217,18 +215,15 @@ def assess_run(recorded: journal.Journal, totals: DataTotals, run: Recording) ->
         clock_ppm_error=run.clock_ppm_error,
         duration_s=totals.last_s + 1 / run.rate_hz,
         peak_edge_rate_hz=totals.peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
-        both_moved=totals.both_moved,
         dropped_bytes=sum(
             int.from_bytes(record.data, "little")
             for record in recorded.records.of_kind(journal.DROPPED)
             if len(record.data) == journal.DROPPED_BYTES
         ),
-        travel=totals.travel,
         unit=run.unit,
         port_lost=recorded.records.kinds.count(journal.LOST),
         asked_s=recorded.header["samples"] / run.rate_hz if recorded.header.get("samples") is not None else None,
         ended=next(map(journal.end_reason, recorded.records.of_kind(journal.END)), ""),
-        retimed=totals.retimed,
     )
 
 

@@ -78,8 +78,7 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
         raise InputError(
             f"the times have no unit, and in seconds there would be a sample every {step:.3g} s",
             cells.locate(cells.header_line, column),
-            f"state the unit, perhaps --t-unit {unit}; use --t-unit s if the times are in seconds",
-            python=f"state the unit, perhaps t_unit={unit!r}; use t_unit='s' if the times are in seconds",
+            f"state the unit, perhaps --t-unit={unit}; use --t-unit=s if the times are in seconds",
         )
 
 
@@ -90,22 +89,11 @@ def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int,
         return
     if force:
         what = f"the forces have no unit, and in newtons {motion}"
-        do = (
-            "state the unit, such as --force-unit mN or --force-unit kgf; use --force-unit N if the forces are in "
-            "newtons"
-        )
-        python = (
-            "state the unit, such as force_unit='mN' or force_unit='kgf'; use force_unit='N' if the forces are in "
-            "newtons"
-        )
+        do = "such as --force-unit=mN or --force-unit=kgf; use --force-unit=N if the forces are in newtons"
     else:
         what = f"the positions have no unit, and in metres {motion}"
         do = (
-            "state the unit, such as --x-unit mm, --x-unit cm or --x-unit '0.25 mm' (a pixel); use --x-unit m if "
-            "the positions are in metres"
+            "such as --x-unit=mm, --x-unit=cm or --x-unit='0.25 mm' (a pixel); use --x-unit=m if the positions are in "
+            "metres"
         )
-        python = (
-            "state the unit, such as x_unit='mm', x_unit='cm' or x_unit='0.25 mm' (a pixel); use x_unit='m' if "
-            "the positions are in metres"
-        )
-    raise InputError(what, cells.locate(cells.header_line, column), do, python=python)
+    raise InputError(what, cells.locate(cells.header_line, column), f"state the unit, {do}")

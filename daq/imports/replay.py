@@ -9,15 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise import run as finalise
 from daq.imports import capture as decode
 from daq.imports import sigrok
-from daq.runfile import belt_counter, journal, provenance, spill, store
+from daq.runfile import belt_counter, provenance, store
 from daq.runfile.recording import Recording
 from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
@@ -44,14 +42,6 @@ def recognise_kind(source: Path) -> str:
     if source.suffix in by_name:
         return by_name[source.suffix]
     raise InputError("is neither a journal, a run file nor a .sr capture", where, "use 'daq import' for a CSV file")
-
-
-def finalise_journal(source: Path) -> tuple[Recording, dict[str, Any]]:
-    """Return the run of a journal, and what the finaliser found."""
-    markers = journal.read_markers(journal.markers_path(source))
-    run, summary = finalise.run_data(journal.read(source), markers, "daq replay")
-    raw = None if run.raw is None else spill.in_memory(run.raw)
-    return spill.in_memory(replace(run, raw=raw)), summary.as_json()
 
 
 def decode_run(source: Path) -> Recording:

@@ -143,14 +143,8 @@ class Frames(Session):
             raise DeviceError(
                 "the board announces a configuration (CONFIG) but does not send it", self.url, "reset it and try again"
             )
-        if bytes_heard:
-            what = (
-                f"the board did not identify itself within {sessions.ANSWER_S:g} s, but sent {bytes_heard} other bytes"
-            )
-            do = "check the baud rate, and that the board runs stickslip firmware; otherwise use --protocol qsb or text"
-            raise DeviceError(what, self.url, do)
-        do = "check the port ('daq ports'), the cable, and that the board runs stickslip firmware"
-        raise DeviceError(f"the board did not reply within {sessions.ANSWER_S:g} s", self.url, do)
+        do = "check the baud rate, and that the board runs stickslip firmware; otherwise use --protocol qsb or text"
+        raise self.explain_no_answer(bytes_heard, "the board runs stickslip firmware", do)
 
     def _drop_before(self, ident: frames.Ident) -> None:
         """Drop the bytes before an identification: noise from a board that was finding the baud rate."""

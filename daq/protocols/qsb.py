@@ -62,17 +62,8 @@ def check(request: RecordRequest) -> None:
 
 def make_ident(decoder: str | None) -> frames.Ident:
     """Return the identification common to every QSB."""
-    return frames.Ident(
-        firmware=(0, 0, 0),
-        decoder=decoder or "x4",
-        capabilities=frames.Capability(0),
-        counter_bits=32,
-        tick_ns=TICK_NS,
-        block_size=1,
-        max_rate_hz=TICK_HZ,
-        max_edge_rate_hz=0,
-        name="US Digital QSB",
-    )
+    name = "US Digital QSB"
+    return frames.Ident(decoder=decoder or "x4", counter_bits=32, tick_ns=TICK_NS, max_rate_hz=TICK_HZ, name=name)
 
 
 def read_record(line: bytes) -> Row | NoSample:
@@ -118,13 +109,8 @@ class Qsb(Session):
             bytes_heard += count
             if reply is not None:
                 return Identity(make_ident(self.request.decoder))
-        if bytes_heard:
-            what = (
-                f"the device did not identify itself within {sessions.ANSWER_S:g} s, but sent {bytes_heard} other bytes"
-            )
-            raise DeviceError(what, self.url, "check that it is a QSB, and --baud (230400 for a QSB)")
-        do = "check the port ('daq ports'), the cable, and that it is a QSB"
-        raise DeviceError(f"the device did not reply within {sessions.ANSWER_S:g} s", self.url, do)
+        do = "check that it is a QSB, and --baud (230400 for a QSB)"
+        raise self.explain_no_answer(bytes_heard, "it is a QSB", do)
 
     def plan(self, identity: Identity) -> Plan:
         """Return the rate 512/n Hz that is nearest to the requested one."""

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from daq.protocols.request import RecordRequest
 from daq.wire import frames
+from stickslip.errors import DeviceError
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream
@@ -192,6 +193,14 @@ class Session(ABC):
             if now >= deadline:
                 break
         return b"".join(received)
+
+    def explain_no_answer(self, bytes_heard: int, condition: str, do: str) -> DeviceError:
+        """Return the error of a device that did not identify itself; ``do`` is for one that sent other bytes."""
+        if bytes_heard:
+            what = f"the device did not identify itself within {ANSWER_S:g} s, but sent {bytes_heard} other bytes"
+            return DeviceError(what, self.url, do)
+        do = f"check the port ('daq ports'), the cable, and that {condition}"
+        return DeviceError(f"the device did not reply within {ANSWER_S:g} s", self.url, do)
 
     def send(self, *commands: str) -> None:
         """Send command lines."""

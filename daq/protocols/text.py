@@ -80,14 +80,10 @@ def check(request: RecordRequest) -> None:
 def make_ident(form: Columns, decoder: str | None) -> frames.Ident:
     """Return the identification that follows from the declared columns."""
     return frames.Ident(
-        firmware=(0, 0, 0),
         decoder=decoder or "x4",
         capabilities=form.capabilities,
         counter_bits=form.bits,
         tick_ns=TICK_NS,
-        block_size=1,
-        max_rate_hz=1_000_000,
-        max_edge_rate_hz=0,
         name="text lines",
     )
 

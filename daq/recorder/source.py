@@ -16,6 +16,7 @@ from daq.recorder.notes import NoteFlags
 from daq.recorder.record import record as record_board
 from daq.runfile.journal_header import FASTEST_HZ, SLOWEST_HZ
 from daq.runfile.rig import Rig, find_replaced
+from stickslip import toml
 from stickslip.compute.interpreter import start_python
 from stickslip.errors import InputError, check_type
 from stickslip.units import Stated, exact_in_si, read_all_stated
@@ -148,7 +149,7 @@ def record(
             x0=x0,
             metres_per_count=metres_per_count,
         ),
-        calibration=None if rig is None else _read_text(Path(rig)),
+        calibration=None if rig is None else toml.read_text(Path(rig), "rig"),
     )
     with _viewer(request.part) if live else contextlib.nullcontext():
         if isinstance(source, str):
@@ -211,13 +212,6 @@ def _check_whole(rate_hz: float | None) -> int | None:
     if rate_hz is not None and not rate_hz.is_integer():  # nor are infinity and NaN
         raise InputError(f"rate_hz is {rate_hz}", WHERE, "a port requires whole Hz, such as rate_hz=1000")
     return None if rate_hz is None else int(rate_hz)
-
-
-def _read_text(rig: Path) -> str:
-    try:
-        return rig.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read ({error})", str(rig), "use a rig.toml") from error
 
 
 @contextlib.contextmanager

@@ -28,7 +28,7 @@ from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, Any
 
 from daq.runfile import journal_header, journal_records
 from daq.runfile.journal_records import (
@@ -60,6 +60,7 @@ DROPPED_BYTES = 8  # size of a record DROPPED: a whole number, little-endian; on
 # (a bad sector has 4 kB) may take all copies of it.
 HEADER_EVERY = 1 << 16
 
+USE = "use the .part file of the recording"
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
 # How blocks that a program hands over can end.
@@ -249,26 +250,18 @@ def _has_no_record(content: bytes | Content) -> bool:
 
 def read_header(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
-    with _open(path) as file:
+    with open_regular(path, USE) as file:
         content = Content(file.read(2 * HEADER_EVERY))
     header = journal_records.find_header(journal_records.scan(content))
     if journal_records.wrong_in_magic(content) is None or header is None:
-        raise InputError("is not a journal of daq", str(path), "give the RUN.h5.part that a recording writes")
+        raise InputError("is not a journal of daq", str(path), USE)
     return journal_header.parse(header.data, path)
 
 
 def read(path: Path) -> Journal:
     """Read a journal, whole or cut short."""
-    with _open(path) as file:
+    with open_regular(path, USE) as file:
         return _read(path, Content(file))
-
-
-def _open(path: Path) -> BinaryIO:
-    if not path.exists():
-        raise make_missing_error(path)
-    if path.is_dir():
-        raise make_folder_error(path)
-    return open_regular(path, "use a journal")
 
 
 def _read(path: Path, content: Content) -> Journal:
@@ -276,7 +269,7 @@ def _read(path: Path, content: Content) -> Journal:
         raise InputError("contains no record: the recording ended immediately", str(path), "delete it and record again")
     damaged = journal_records.wrong_in_magic(content)
     if damaged is None:
-        raise InputError("is not a journal of daq", str(path), "use the .part file of the recording")
+        raise InputError("is not a journal of daq", str(path), USE)
     places, kinds, received = array("q"), bytearray(), 0
     header: Record | None = None
     whole = len(MAGIC)
@@ -308,14 +301,6 @@ def end_reason(record: Record) -> str:
     except (ValueError, KeyError, TypeError, RecursionError):
         return ""
     return reason if isinstance(reason, str) else ""
-
-
-def make_missing_error(path: Path) -> InputError:
-    return InputError("no such journal", str(path), "use the .part file of the recording")
-
-
-def make_folder_error(path: Path) -> InputError:
-    return InputError("is a folder", str(path), "use the .part file of the recording")
 
 
 def _make_header_error(path: Path, size: int, received: int) -> InputError:

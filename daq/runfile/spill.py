@@ -6,7 +6,7 @@ The file is in the folder of the output, and the system removes it with the proc
 import tempfile
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar, cast
 
@@ -141,12 +141,6 @@ class Column:
         return cast(NDArray[Any], self)
 
 
-def in_memory(value: T) -> T:
-    """Return a dataclass with arrays in place of its columns."""
-    columns = {name: item[:] for name, item in vars(value).items() if isinstance(item, Column)}
-    return cast(T, replace(cast(Any, value), **columns))
-
-
 class Shelf(Generic[T]):
     """Values of a dataclass, in order; their arrays are put aside, those of ``labels`` are empty."""
 
@@ -171,6 +165,14 @@ class Shelf(Generic[T]):
 
     def __iter__(self) -> Iterator[T]:
         return (self[number] for number in range(len(self)))
+
+
+def read_columns(data: T) -> T:
+    """Return a dataclass, and those in it, with arrays in place of its columns."""
+    read = {name: value[:] for name, value in vars(data).items() if isinstance(value, Column)}
+    parts = {name: value for name, value in vars(data).items() if is_dataclass(value)}
+    read |= {name: read_columns(cast(Any, part)) for name, part in parts.items()}
+    return cast(T, replace(cast(Any, data), **read))
 
 
 def blocks(values: NDArray[Any]) -> Iterator[NDArray[Any]]:

@@ -48,19 +48,22 @@ class Capability(IntFlag):
     TRUTH = 64  # TRUTH frames may follow (a simulated rig with output.truth)
 
 
+NO_CAPABILITY = Capability(0)
+
+
 @dataclass(frozen=True, slots=True)
 class Ident:
-    """The board's identification: sent at power-up and in answer to ``I``."""
+    """The board's identification: sent at power-up and in answer to ``I``; or what is known of one that sends none."""
 
-    firmware: tuple[int, int, int]  # major, minor, patch
-    decoder: str  # one of `DECODERS`
-    capabilities: Capability
-    counter_bits: int  # width of the counters, the belt's too
-    tick_ns: int  # unit of the device time, ns; at most `LONGEST_TICK_NS`
-    block_size: int  # samples per SAMPLES frame as currently set
-    max_rate_hz: int  # fastest sampling, and fastest edges the decoder follows without error
-    max_edge_rate_hz: int
-    name: str
+    firmware: tuple[int, int, int] = (0, 0, 0)  # major, minor, patch
+    decoder: str = "x4"  # one of `DECODERS`
+    capabilities: Capability = NO_CAPABILITY
+    counter_bits: int = 16  # width of the counters, the belt's too
+    tick_ns: int = 1000  # unit of the device time, ns; at most `LONGEST_TICK_NS`
+    block_size: int = 1  # samples per SAMPLES frame as currently set
+    max_rate_hz: int = 1_000_000  # fastest sampling, and fastest edges the decoder follows without error
+    max_edge_rate_hz: int = 0
+    name: str = ""
 
     @property
     def implausible(self) -> str:

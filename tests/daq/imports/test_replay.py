@@ -161,19 +161,28 @@ def test_a_run_is_decoded_anew_from_its_raw_counters(part, tmp_path):
     assert (before.default, after.default) == ("smooth", "data")
 
 
-@pytest.mark.parametrize("memory", [spill.MEMORY_BYTES, 100])
-def test_another_calibration_moves_positions_and_no_raw_data(part, tmp_path, monkeypatch, memory):
-    monkeypatch.setattr(spill, "MEMORY_BYTES", memory)  # of a journal; the rest is in a file
+def test_another_calibration_moves_positions_and_no_raw_data(part, tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text("[rig]\nmass = 0.5\n[encoder]\nmetres_per_count = 2e-5\n")
     first, second = tmp_path / "a.h5", tmp_path / "b.h5"
     assert application.run(app, ["replay", str(part), "-o", str(first)]) == 0
-    for source in (part, first):
-        assert application.run(app, ["replay", str(source), "-o", str(second), "--rig", str(rig), "--force"]) == 0
+    assert application.run(app, ["replay", str(first), "-o", str(second), "--rig", str(rig)]) == 0
     before, after = store.load(first), store.load(second)
     np.testing.assert_allclose(after.position, 2 * (before.position - 0.001), rtol=1e-12)
     assert after.rig.mass == Measured(0.5)
     assert after.digest == before.digest
+
+
+@pytest.mark.parametrize("stated", [[], ["--metres-per-count", "2e-5", "--x0", "0"]])
+def test_a_journal_that_does_not_fit_into_memory_is_replayed_as_another(part, tmp_path, monkeypatch, stated):
+    first, second = tmp_path / "a.h5", tmp_path / "b.h5"
+    assert application.run(app, ["replay", str(part), "-o", str(first), *stated]) == 0
+    monkeypatch.setattr(spill, "MEMORY_BYTES", 0)
+    assert application.run(app, ["replay", str(part), "-o", str(second), *stated]) == 0
+    one, other = store.load(first), store.load(second)
+    np.testing.assert_array_equal(other.position, one.position)
+    assert other.digest == one.digest
+    assert other.config_toml == one.config_toml
 
 
 def test_an_import_is_replayed_as_it_stands(tmp_path):

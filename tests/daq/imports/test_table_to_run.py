@@ -353,10 +353,10 @@ def test_bad_lines_are_counted_and_left_out_on_request(csv, app, capsys):
 @pytest.mark.parametrize(
     ("t_size", "x_size", "question", "answer"),
     [
-        (1, 1e3, "--x-unit mm", {"x_unit": "mm"}),
-        (1, 1e2, "--x-unit cm", {"x_unit": "cm"}),
-        (1e3, 1, "state the unit, perhaps --t-unit ms;", {"t_unit": "ms"}),
-        (1e6, 1, "state the unit, perhaps --t-unit us;", {"t_unit": "us"}),
+        (1, 1e3, "--x-unit=mm", {"x_unit": "mm"}),
+        (1, 1e2, "--x-unit=cm", {"x_unit": "cm"}),
+        (1e3, 1, "state the unit, perhaps --t-unit=ms;", {"t_unit": "ms"}),
+        (1e6, 1, "state the unit, perhaps --t-unit=us;", {"t_unit": "us"}),
     ],
 )
 def test_a_unit_that_cannot_be_right_is_asked_for(csv, t_size, x_size, question, answer):

@@ -162,7 +162,7 @@ def test_a_page_that_connects_again_misses_nothing_and_all_ends_with_the_recordi
 @pytest.mark.parametrize(
     ("name", "what"),
     [
-        ("run.h5.part", "no such journal"),
+        ("run.h5.part", "no such file"),
         ("run.h5", "no such file"),
         ("note.h5", "is not a"),
         ("note.h5.part", "is not a journal"),

@@ -98,7 +98,7 @@ def test_received_bytes_of_a_damaged_record_are_kept_for_their_frames(written):
 )
 def test_what_is_no_journal_is_refused(tmp_path, content, said):
     path = tmp_path / "x.h5.part"
-    with pytest.raises(InputError, match=r"x\.h5\.part: no such journal"):
+    with pytest.raises(InputError, match=r"x\.h5\.part: no such file"):
         journal.read(path)
     path.write_bytes(content)
     with pytest.raises(InputError, match=said):
