@@ -10,7 +10,7 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import reader
 from daq.recorder.record import record
 
-from ..boards import AWAY_S, FakeLabelled, FakeUpForLong, motion
+from ..boards import AWAY_S, FakeUpForLong, motion
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 
@@ -84,14 +84,6 @@ def test_faults_of_the_line_cost_their_units_and_nothing_else(make_fake, tmp_pat
     assert np.diff(before).tolist() == [99 * unit] * 3
     assert {(sample, kind) for sample, kind in kinds(run) if kind == "gap"} == {(k + 1, "gap") for k in before}
     assert "crc" in run.event_kind
-
-
-def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
-    # They used to be refused.
-    with FakeLabelled(tmp_path / "ttyFAKE", {1500: "flip"}) as fake:
-        found, run = taken(fake, tmp_path, 1900)
-    assert (found.crc_errors, found.lost, found.segments) == (1, 1, 1)
-    assert np.ptp(offsets(fake, run)) == 0
 
 
 def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tmp_path):

@@ -355,7 +355,7 @@ def test_a_damaged_record_costs_its_own_samples(tmp_path):
     found = finalise(part, tmp_path / "damaged.h5", finished_by="daq recover")
     assert (found.samples, found.lost, found.crc_errors) == (1800, 100, 1)
     np.testing.assert_array_equal(daq.load(tmp_path / "damaged.h5").position, np.delete(X[:1900], slice(500, 600)))
-    assert part.read_bytes() == content  # it used to be cut at the damage, and then removed
+    assert part.read_bytes() == content
     assert any("damaged" in text and part.name in text for text in found.warnings)
 
 
@@ -371,7 +371,7 @@ def test_the_live_view_sees_each_block_and_a_marker_becomes_an_event(tmp_path):
             seen.append((sum(one.time.size for one in new), seen[0].counts.lost, seen[0].unit))
             if k == 10:
                 with journal.markers_path(part).open("a") as file:
-                    file.write(f"{time.monotonic_ns()} here\n")
+                    file.write(f"12 long ago\n{time.monotonic_ns()} here\n")
                 time.sleep(0.01)
 
     blocks = ((t[keep], x[keep]) for t, x in card(after=look) for keep in [(t < 0.15) | (t >= 0.16)])

@@ -6,8 +6,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import daq
 from daq.cli.app import app
@@ -20,7 +18,6 @@ from daq.recorder.record import record
 from daq.runfile import belt_counter, store
 from daq.runfile.rig import Rig
 from daq.stream.timeline import Samples
-from daq.wire import counters
 from daq.wire.frames import Capability, Ident
 from rig_sim.board import board
 from stickslip.errors import InputError
@@ -29,24 +26,6 @@ from stickslip.units import Measured
 from ..samples import check_counts, make_samples
 
 DELTA = 0.12566 / 4096 / 4
-
-
-@given(
-    st.sampled_from([8, 16, 24, 32]),
-    st.integers(-(1 << 40), 1 << 40),
-    st.lists(st.integers(-127, 127), max_size=50),
-)
-def test_an_up_and_down_counter_unwraps_either_way(bits: int, start: int, steps: list[int]) -> None:
-    true = start + np.cumsum([0, *steps])
-    np.testing.assert_array_equal(counters.diff_signed(true % (1 << bits), bits), np.diff(true))
-    found = belt_counter.unwrap_count(true % (1 << bits), bits, np.array([0]))
-    np.testing.assert_array_equal(found - found[0], true - true[0])
-
-
-def test_each_segment_begins_at_its_own_reading() -> None:
-    values = np.array([65530, 65535, 4, 9, 500, 490, 480], np.uint16)
-    found = belt_counter.unwrap_count(values, 16, np.array([0, 4]))
-    assert found.tolist() == [65530, 65535, 65540, 65545, 500, 490, 480]
 
 
 def test_the_speed_is_the_mean_over_its_span_and_knows_no_other_segment() -> None:

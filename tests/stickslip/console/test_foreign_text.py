@@ -67,16 +67,6 @@ def test_an_escape_sequence_is_printed_as_text(app, line, holds, odd, capfd):
     assert not ACTS.search(out + err + log)
 
 
-def test_a_cell_of_a_table_is_no_markup(capsys):
-    table = application.table(f"title{ODD}", ["name", f"head{ODD}"])
-    table.add_row("[bold]a", ODD)
-    application._print_text(table)
-    out = capsys.readouterr().out
-    assert not ACTS.search(out)
-    assert "[bold]a" in out
-    assert out.count("[red]") == 3
-
-
 def test_a_bar_shows_no_escape_sequences(monkeypatch):
     class Terminal(io.StringIO):
         def isatty(self):
