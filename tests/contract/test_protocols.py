@@ -97,8 +97,7 @@ def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tm
 
 @pytest.mark.slow
 def test_a_sketch_that_was_up_for_long_resets_and_all_its_samples_are_kept(tmp_path):
-    # The recording used to end at the reset, with exit code 4: modulo 2^32 its clock had stepped ahead by minutes.
-    # Other times: tests/daq/protocols/test_lines.py.
+    # Modulo 2^32 its clock steps ahead by minutes.  Other times: tests/daq/protocols/test_lines.py.
     fake = FakeUpForLong(tmp_path / "ttyFAKE", {3000: "reset"}, paced=True)
     fake.uptime_us = 4_260_000_000
     with fake:

@@ -19,7 +19,6 @@ def recorded(zeta=0.01, friction=100.0, rest=37.25, g=0.0, hold_s=1.0, seconds=2
 
 
 def test_a_mass_that_rounding_holds_rests():
-    # x - rest > a, and yet x - (rest + a) = 0: it used to turn for ever.
     rest, a, x = 43.91491627785106, 114.98006706877551, 158.8949833466266
     assert x - rest > a
     assert np.all(ring_down.predict_motion(np.linspace(0, 1, 5), W, 0.01, a, rest, x, 0.0) == x)

@@ -174,6 +174,5 @@ def test_the_command_answers_in_json(path, capsys, write_capture, samples, flags
 
 
 def test_an_indented_key_is_no_part_of_a_probe_name(path, write_capture):
-    # 13 of 1015 public captures have such metadata; the keys used to be part of the name above them.
     write_capture(path, [0, 1, 3], {0: 'A "upper"\n\tinverted=no', 1: "B\n    samples=3"})
     assert sigrok.read(path).probes == {0: 'A "upper"', 1: "B"}

@@ -5,8 +5,6 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from daq import protocols
 from daq.protocols import neighbours, qsb, text
@@ -64,23 +62,6 @@ def counts(stream):
     width = 2**stream.ident.counter_bits
     net = (stream.up.astype(np.int64) - stream.down.astype(np.int64)) % width
     return np.where(net >= width // 2, net - width, net)
-
-
-def true_counts(stream, period_s):
-    k = (stream.ticks * stream.ident.tick_ns * 1e-9 / period_s).round().astype(int)
-    return motion(k)
-
-
-@pytest.mark.parametrize("name", list(FORMS))
-@given(garbage=st.binary(max_size=400))
-def test_garbage_never_raises_and_costs_at_most_one_line_more(name, garbage):
-    line, header, period_s = FORMS[name]
-    data = garbage + b"\n!" + b"".join(map(line, range(100, 140)))
-    stream = decode_whole(protocols.load(header["protocol"]), [(0, data)], header)
-    good = set(range(102, 140))  # resynchronised within two lines
-    found = set((stream.ticks[counts(stream) == true_counts(stream, period_s)]).tolist())
-    ticks_of = (lambda k: k) if name == "qsb" else (lambda k: 2000 * k + 7)
-    assert {ticks_of(k) for k in good} <= found
 
 
 def test_a_million_corrupted_bytes_are_survived(form, damaged):
@@ -327,28 +308,6 @@ def test_milliseconds_taken_for_microseconds_are_refused(monkeypatch):
     monkeypatch.setattr(session_module, "ANSWER_S", 0.4)
     with pytest.raises(DeviceError, match=r"advances by .* ms in .* s; .*columns t_ms"):
         text.session(Slow(lambda k: b"t=%d,pos=%d\n" % (k, k)), "fake", RecordRequest()).identify()
-
-
-SHAPES = {
-    "t_us,up,down": lambda k: b"%d,%d,%d\r\n" % (2000 * k, 3 * k, 2 * k),
-    "t_us,count,a,b,illegal": lambda k: b"%d;%d;%d;%d;%d\n" % (2000 * k, int(motion(k)), k & 1, k >> 1 & 1, k // 9),
-    "ms,count:16": lambda k: b" %d.%d\t%+d \n" % (2 * k, k % 7, (int(motion(k)) + 2**15) % 2**16 - 2**15),
-    "t_s,-,count": lambda k: b"%d.%06d %s %d\n" % (*divmod(2000 * k, 10**6), b"x=%d" % (k % 3), int(motion(k))),
-    "t_us,count,xor": checked_line,
-}
-
-
-@pytest.mark.parametrize("declared", SHAPES)
-def test_lines_of_every_shape_are_read(declared):
-    sent = np.arange(400)
-    stream = decode_whole(text, [(0, b"".join(map(SHAPES[declared], sent)))], {"columns": declared, "rate_hz": 500.0})
-    k = sent[1:]  # the first line may have lost its beginning
-    assert stream.crc_errors == 0
-    assert np.array_equal(counts(stream), k if declared == "t_us,up,down" else motion(k))
-    assert np.array_equal(stream.ticks, 2000 * k + {"ms,count:16": 100 * (k % 7), "t_us,count,xor": 7}.get(declared, 0))
-    if "illegal" in declared:
-        assert np.array_equal(stream.status, k & 1 | (k >> 1 & 1) << 1)
-        assert np.array_equal(stream.illegal, k // 9)
 
 
 def test_an_endless_line_is_one_damaged_one(form):

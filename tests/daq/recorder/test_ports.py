@@ -178,7 +178,6 @@ def test_a_socket_that_does_not_say_how_many_bytes_wait_is_read_in_large_pieces(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 def test_a_port_is_opened_once_under_whatever_name(tmp_path):
-    # Two recorders used to share its bytes: 3952 of 8000 samples, exit 0.
     master, slave = os.openpty()
     name = os.ttyname(slave)
     (tmp_path / "ttyLINK").symlink_to(name)

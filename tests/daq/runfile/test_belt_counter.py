@@ -81,22 +81,6 @@ def test_a_recorded_belt_is_the_simulated_one_through_every_roll_over(tmp_path: 
     assert not run.belt_velocity[run.time < 0.48].any()
 
 
-def test_a_drooping_belt_slows_during_stick_by_its_fraction_and_a_backward_one_too(tmp_path: Path) -> None:
-    for sign in (1, -1):
-        path = tmp_path / f"{sign}.h5"
-        changes = ("belt.channel=true", "droop.fraction=0.05", "tell.truth=true", f"belt.speed={sign * 0.22}")
-        run, truth = recorded(path, *changes), store.truth(path)
-        speed = sign * run.belt_velocity * DELTA / run.rig.belt_metres_per_count.value
-        sticking = np.abs(truth.v - sign * 0.22 * (1 - 0.05 * sign * truth.F / 1.379353536)) < 1e-3 * 0.22
-        late = np.convolve(sticking, np.ones(21), "same") == 21  # of the span of a difference
-        late &= run.time > 1.0
-        load = sign * truth.F[late] / 1.379353536
-        assert np.ptp(load) > 1.2
-        slope, unloaded = np.polyfit(load, speed[late] / 0.22, 1)
-        assert unloaded == pytest.approx(1.0, abs=3e-3)
-        assert slope == pytest.approx(-0.05, abs=5e-3)
-
-
 def test_without_a_channel_the_file_holds_nothing_of_it_and_with_one_an_export_its_speed(tmp_path: Path) -> None:
     plain = recorded(tmp_path / "plain.h5", duration=1.0)
     counted = recorded(tmp_path / "counted.h5", "belt.channel=true", duration=1.0)

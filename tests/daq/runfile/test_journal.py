@@ -51,7 +51,6 @@ def test_cut_at_every_byte_it_gives_the_records_before_the_cut(written):
 
 @pytest.mark.parametrize("number", range(len(RECORDS)))
 def test_a_damaged_record_costs_itself_alone(written, number):
-    # It used to end the journal there, and with it all that was recorded afterwards.
     content = bytearray(written.read_bytes())
     at = len(content) - sum(13 + len(data) + 4 for _, _, data in RECORDS[number:])
     size = 13 + len(RECORDS[number][2]) + 4
@@ -99,7 +98,6 @@ def test_markers_are_read_in_order_and_torn_lines_left_out(tmp_path):
 
 
 def test_one_wrong_byte_in_the_header_costs_nothing(written):
-    # "It holds no samples; delete it", the text used to be.
     whole = written.read_bytes()
     right = journal.read(written)
     header, records = right.header, as_tuples(right)  # now: they are read from the file
