@@ -347,11 +347,4 @@ class FakeTicks(FakeText):
         return f"{int(motion(k))}\t{k}\n".encode()
 
 
-class FakeLabelled(FakeText):
-    columns = None
-
-    def encode(self, k):
-        return f"us: {1000 * k + 4321}, Pos: {int(motion(k))}, state: run\r\n".encode()
-
-
 FAKES = {"frames": FakeFrames, "qsb": FakeQsb, "text": FakeText, "ticks": FakeTicks}

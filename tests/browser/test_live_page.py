@@ -427,38 +427,6 @@ def test_the_stop_button_asks_once_and_ends_the_recording_cleanly(browser, tmp_p
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.h5"]
 
 
-PROGRAM = """
-import time
-import numpy as np
-import daq
-
-def blocks():  # a camera's positions at 200 Hz, in real time
-    begun = time.monotonic()
-    for k in range(4000):
-        t = np.arange(10 * k, 10 * k + 10) / 200
-        yield t, 0.01 * np.sin(6 * t)
-        time.sleep(max(0.0, begun + t[-1] - time.monotonic()))
-
-daq.record(blocks(), "run.h5", rate_hz=200)
-"""
-
-
-def test_a_recording_by_a_program_is_watched_scrolled_and_stopped(browser, tmp_path):
-    with subprocess.Popen([sys.executable, "-c", PROGRAM], cwd=tmp_path, stderr=subprocess.PIPE, text=True) as program:
-        with command("watch", "run.h5.part", "--wait", "30 s", cwd=tmp_path) as (_, url):
-            with opened(browser, url) as page:
-                until(page, "Number(document.body.dataset.frames) > 60")
-                page.keyboard.press("Home")
-                until(page, "view.from === 0 && view.to > 0")
-                page.click("#stop")
-                page.click("#stop-it")
-                says(page, "state", "stopped by the user", 20.0)
-        assert program.wait(30) == 0, program.stderr
-    recorded = daq.load(tmp_path / "run.h5")
-    assert recorded.time.size > 600
-    assert recorded.time.size % 10 == 0  # blocks are kept whole
-
-
 def test_losses_a_vanished_journal_and_a_viewer_that_is_gone_are_said_in_the_page(browser, tmp_path):
     gaps = ["--set", "gaps.rate=1", "--set", "gaps.duration=0.2"]
     recorder = [sys.executable, "-m", "daq.cli.app", "record", "--realtime", "--duration", "60", *gaps]

@@ -10,7 +10,7 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import reader
 from daq.recorder.record import record
 
-from ..boards import AWAY_S, FakeLabelled, FakeUpForLong, motion
+from ..boards import AWAY_S, FakeUpForLong, motion
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 
@@ -86,14 +86,6 @@ def test_faults_of_the_line_cost_their_units_and_nothing_else(make_fake, tmp_pat
     assert "crc" in run.event_kind
 
 
-def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
-    # They used to be refused.
-    with FakeLabelled(tmp_path / "ttyFAKE", {1500: "flip"}) as fake:
-        found, run = taken(fake, tmp_path, 1900)
-    assert (found.crc_errors, found.lost, found.segments) == (1, 1, 1)
-    assert np.ptp(offsets(fake, run)) == 0
-
-
 def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tmp_path):
     fake = make_fake({1500: "reset"})
     found, run = taken(fake, tmp_path, 3000 * fake.unit)
@@ -105,8 +97,7 @@ def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tm
 
 @pytest.mark.slow
 def test_a_sketch_that_was_up_for_long_resets_and_all_its_samples_are_kept(tmp_path):
-    # The recording used to end at the reset, with exit code 4: modulo 2^32 its clock had stepped ahead by minutes.
-    # Other times: tests/daq/protocols/test_lines.py.
+    # Modulo 2^32 its clock steps ahead by minutes.  Other times: tests/daq/protocols/test_lines.py.
     fake = FakeUpForLong(tmp_path / "ttyFAKE", {3000: "reset"}, paced=True)
     fake.uptime_us = 4_260_000_000
     with fake:

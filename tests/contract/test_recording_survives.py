@@ -71,7 +71,6 @@ def assert_whole(path, samples):
 @pytest.mark.parametrize("stream", ["full", "broken pipe"])
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_stream_that_takes_nothing_costs_nothing(board, tmp_path, number, stream):
-    # Losing stderr used to end the recording with a journal.
     output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
     redirect = f"{number}>/dev/full" if stream == "full" else ""
     reading, writing = os.pipe()
@@ -87,7 +86,6 @@ def test_a_stream_that_takes_nothing_costs_nothing(board, tmp_path, number, stre
 
 
 def test_signals_that_were_ignored_at_the_start_stay_ignored(board, tmp_path):
-    # nohup used to be defeated; so was the SIGINT that a shell keeps from its background jobs.
     output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
     recorder = start(["sh", "-c", 'trap "" HUP INT; exec "$@"', "sh", *record_line(board, output, 2)], part)
     for number in (signal.SIGHUP, signal.SIGINT) * 3:
@@ -99,7 +97,6 @@ def test_signals_that_were_ignored_at_the_start_stay_ignored(board, tmp_path):
 
 
 def test_a_port_that_stays_away_is_reported_at_once_and_ends_in_exit_4(board, tmp_path):
-    # 3.9 of 8 s used to be a healthy run, after 30 s without a word.
     output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
     recorder = start(record_line(board, output, 4), part)
     board.path.unlink()

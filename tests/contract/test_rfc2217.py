@@ -91,7 +91,6 @@ def served(tmp_path):
 
 
 def test_a_port_behind_rfc2217_is_recorded(served, tmp_path):
-    # It used to end in a traceback: rfc2217 has no time-out for writing.
     found = record(RecordRequest(served.url, tmp_path / "run.h5", duration_s=0.5))
     run = daq.load(tmp_path / "run.h5")
     assert (found.samples, found.lost, found.crc_errors, found.segments) == (500, 0, 0, 1)

@@ -13,21 +13,6 @@ BENCHMARKS = examples.ROOT / "benchmarks"
 DOCS = examples.ROOT / "docs"
 PAGES = ("velocity.md", "accuracy.md", "identification.md")  # of which the benchmarks write the tables
 PACKAGES = ("stickslip", "daq", "processing", "fitting", "rig_sim")
-PAGE = """# Errors
-
-<!-- begin: race methods; python benchmarks/race.py --write -->
-
-| method | error | CPU |
-|---|---|---|
-| exact | 1e-14 | 1 |
-| rk4 | 1e-3 | 22 |
-
-<!-- end: race methods -->
-
-| method | error | CPU |
-|---|---|---|
-| exact | by hand | |
-"""
 
 
 def benchmark(name):
@@ -52,23 +37,6 @@ def test_what_a_benchmark_imports_of_the_packages_is_there(path):
 @pytest.fixture(scope="module")
 def pages():
     return benchmark("pages")
-
-
-def test_rows_replace_those_of_their_name_and_no_others(pages, tmp_path):
-    (tmp_path / "page.md").write_text(PAGE)
-    pages.write("page.md", "race methods", {"exact": ["2e-14", "1"], "heyoka": ["3e-12", "4.4"]}, docs=tmp_path)
-    written = (tmp_path / "page.md").read_text()
-    assert written == PAGE.replace("| exact | 1e-14 | 1 |", "| exact | 2e-14 | 1 |").replace(
-        "| rk4 | 1e-3 | 22 |\n", "| rk4 | 1e-3 | 22 |\n| heyoka | 3e-12 | 4.4 |\n"
-    )
-
-
-@pytest.mark.parametrize("damage", ["begin: race methods", "end: race methods"])
-def test_a_page_without_the_marker_is_refused_and_left_alone(pages, tmp_path, damage):
-    (tmp_path / "page.md").write_text(PAGE.replace(damage, "other"))
-    with pytest.raises(ValueError, match="race methods"):
-        pages.write("page.md", "race methods", {"exact": ["2e-14", "1"]}, docs=tmp_path)
-    assert (tmp_path / "page.md").read_text() == PAGE.replace(damage, "other")
 
 
 def test_every_marked_table_names_a_benchmark_that_writes_it(pages):

@@ -127,7 +127,6 @@ def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(switch_on,
 
 
 def test_what_came_at_another_rate_is_no_damage_of_the_recording(switch_on, tmp_path):
-    # It used to open the journal: "damaged frames were thrown away", in each recording at 1 Mbaud.
     with switch_on("uno", speed=1) as board:
         with bench.Host(board, 115_200) as host:
             assert host.say("S")

@@ -48,21 +48,18 @@ def both(emulator, latch_address, tmp_path_factory):
     return folder, board, report, by_board, by_rig
 
 
-def test_the_board_is_recorded_like_the_rig(both):
-    folder, _, report, by_board, by_rig = both
+def test_the_board_is_recorded_like_the_rig_with_every_count_of_the_encoder(both):
+    folder, board, report, by_board, by_rig = both
     assert by_board["samples"] == by_rig["samples"] == SECONDS * 1000
     for key in ("lost", "crc_errors", "illegal", "phase_errors"):
         assert by_board[key] == 0
     assert by_board["segments"] == 1
     assert report["bytes_dropped"] == 0
-    flags = load(folder / "board.h5").raw.flags
+    recorded = load(folder / "board.h5")
+    flags = recorded.raw.flags
     assert len(flags) == SECONDS * 1000
     assert np.count_nonzero(flags & ~np.uint16(FLAG_BOTH)) == 0  # both counters move at a reversal
 
-
-def test_every_count_of_the_recording_is_the_encoders(both):
-    folder, board, *_ = both
-    recorded = load(folder / "board.h5")
     _, true = board.truth(np.round(recorded.time * bench.CYCLES_PER_S).astype(np.int64))
     assert np.ptp(true) > 10_000
     assert np.array_equal(recorded.count - recorded.count[0], true - true[0])

@@ -108,7 +108,6 @@ def test_a_ring_down_gives_the_rig_back_within_its_errors(capsys, tmp_path, law,
         assert abs(measured.value - true) < 4 * measured.sd
     assert abs(rig.datum.value - 0.1) < 4 * rig.datum.sd + 7.67e-6
     assert found["friction_length"] == pytest.approx(Fs / 10.5552, rel=0.01)
-    # The next run used to take the belt for one at 0 m/s.
     assert (rig.belt_speed, found["left_out"]) == (None, ["belt_speed"])
 
 
@@ -173,7 +172,6 @@ def test_counts_across_a_lost_port_are_not_joined(tmp_path):
 
 @pytest.mark.slow
 def test_the_examples_of_calibrate_run_on_the_simulated_rig(capsys, tmp_path):
-    # Without a port the ring-down used to be tried on a mass that the belt drags, and failed.
     code, found, _ = said(capsys, "calibrate", "--mass", "300 g +- 1 g")
     assert code == 0
     assert found["omega0"] == pytest.approx(OMEGA0, abs=5 * found["omega0_sd"])

@@ -7,7 +7,6 @@ from ...journals import write_journal
 
 
 def test_only_a_journal_without_received_bytes_makes_way(tmp_path):
-    # One that was left before its header was whole used to block the name until somebody deleted it.
     written = write_journal(tmp_path / "run.h5.part", [(journal.RECEIVED, 10, b"abc")])
     whole = written.read_bytes()
     received = next(

@@ -47,17 +47,9 @@ def stall(host, rng, seconds):
     return host
 
 
-@pytest.mark.parametrize("ppm", [-3000, -40, 0, 250, 3000])
-def test_drift_is_found_within_5_ppm_in_a_minute(ppm):
-    device = np.arange(0, 60, 0.008)
-    host = late_by_usb(device, ppm * 1e-6, np.random.default_rng(ppm + 5000))
-    assert compare(host, device).ppm == pytest.approx(ppm, abs=5)
-
-
 @pytest.mark.parametrize("ppm", [-100, 0, 100])
 @pytest.mark.parametrize("seconds", [3, 7, 20])
 def test_a_pause_of_the_computer_is_no_drift(ppm, seconds):
-    """Of 12 s the last 9 were read late, in one second: the drift used to be 2.6 million ppm."""
     device = np.arange(0, 12, 0.008)
     host = late_by_usb(device, ppm * 1e-6, np.random.default_rng(seconds))
     paused = (host > 3) & (host < 3 + seconds)
@@ -87,11 +79,11 @@ def polled_line(drift, rng, poll_s, seconds=60, block=8, length=71, baud=115_200
     return np.maximum.accumulate(host)[fresh], device.ravel()[at], np.append(device.ravel(), np.nan)[at + 1]
 
 
-DRIFTS = [0, 1, -1, 20, -20, 100, -100, 3000, -3000]
+DRIFTS = [0, 20, -100, 3000]
 
 
 @pytest.mark.parametrize(
-    ("poll_s", "seed"), [*((1e-3, seed) for seed in range(2)), *((16e-3, seed) for seed in range(4))]
+    ("poll_s", "seed"), [*((1e-3, seed) for seed in range(2)), *((16e-3, seed) for seed in range(3))]
 )
 @pytest.mark.parametrize("ppm", DRIFTS)
 def test_a_line_polled_in_step_with_the_host_is_known_as_well_as_it_can_be(ppm, poll_s, seed):
@@ -114,7 +106,7 @@ def test_a_line_polled_in_step_with_the_host_is_known_as_well_as_it_can_be(ppm, 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_whole_frames_polled_in_step_are_told_as_little_sharp_as_they_are(seed):
-    """A port without bytes to go by, polled with its frames: 20 ppm used to be given as 0, without an error."""
+    """A port without bytes to go by, polled with its frames."""
     rng = np.random.default_rng(seed)
     ppm, poll_s = 20.0, 8e-3
     device = np.arange(1, 7500) * 8e-3
@@ -155,24 +147,7 @@ def test_neither_a_short_run_nor_a_stream_faster_than_real_time_has_a_drift(seco
     assert (fast.ppm, len(fast.offset)) == (None, 0)
 
 
-def test_the_offset_is_the_least_delay():
-    device = np.arange(0, 60, 0.008)
-    host = 100 + late_by_usb(device, 0.0, np.random.default_rng(3))
-    found = compare(host, device)
-    assert np.median(found.offset) == pytest.approx(100.002, abs=1e-3)
-    assert len(found.offset) == 60
-    assert np.array_equal(found.offset, (host - device)[found.index])
-
-
-def test_an_hour_takes_no_more_than_the_wider_bins():
-    device = np.arange(0, 3600, 0.5)
-    found = compare(device / (1 + 1e-4) + 0.01, device)
-    assert len(found.index) <= clock_sync.MOST_POINTS + 1
-    assert found.ppm == pytest.approx(100, abs=0.1)
-
-
 def test_points_that_were_put_aside_are_not_all_brought_back(monkeypatch):
-    # With one point of each second, all that were read back with it were kept: 62 MB of 1.6 million points, now 11 MB.
     monkeypatch.setattr(spill, "MEMORY_BYTES", 0)
     points = Shelf(Spill())
     for begin in range(0, 160_000, 4000):
@@ -233,7 +208,7 @@ def test_a_recorded_line_gives_drift_and_offset_through_journal_and_file(tmp_pat
 @pytest.mark.parametrize(
     ("ppm", "error", "said"),
     [
-        (-167.0, 3265.0, ""),  # printed as "deviates by -167 ppm (+- 3265)", as if it said something
+        (-167.0, 3265.0, ""),
         (None, None, ""),
         (-167.0, 30.0, "the board's clock deviates by -167 ppm (+- 30)"),
         (20.0, 60.0, "the board's clock agrees with this computer's to within 140 ppm"),

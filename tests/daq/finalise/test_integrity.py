@@ -31,7 +31,7 @@ def check(samples, rate_hz=1000.0):
 
 
 def test_every_sample_after_an_illegal_transition_is_flagged():
-    # It used to be flagged by its phase alone, which an even number of misses hides.
+    # An even number of misses does not show in the phase.
     n = 40
     true = 10 * np.arange(n)
     missed = np.where(np.arange(n) >= 30, 4, np.where(np.arange(n) >= 9, 2, 0))
@@ -52,9 +52,8 @@ def test_the_doubt_ends_where_the_board_began_anew():
     assert np.flatnonzero(flags & counters.FLAG_COUNT_UNCERTAIN).tolist() == list(range(4, 12))
 
 
-@pytest.mark.parametrize("rate_hz", [1000, 30_000, 50_000, 100_000])
+@pytest.mark.parametrize("rate_hz", [1000, 100_000])
 def test_a_fast_signal_gives_its_rate_whatever_the_jitter(rate_hz):
-    # Above 30 kHz jitter of 30 us used to pass for gaps, and the peak was given as 0.
     n = 2 * rate_hz
     jitter = np.clip(np.random.default_rng(3).normal(0, 30e-6, n), -0.45 / rate_hz, 0.45 / rate_hz)
     time = np.arange(n) / rate_hz + jitter
@@ -74,7 +73,6 @@ def test_gaps_everywhere_leave_the_peak_of_what_is_between_them():
 
 
 def test_more_than_65536_segments_have_numbers_of_their_own():
-    # The numbers had 16 bits: segment 65,536 was called 0 again.
     n = 70_000
     part = np.arange(n)
     many = check(samples(np.arange(n), 0, np.zeros(n), part)).segment

@@ -3,15 +3,15 @@
 import resource
 import subprocess
 import sys
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from daq.finalise.run import run_data
 from daq.protocols import session
 from daq.runfile import journal, spill, store
+
+from ..runfile.runs import assert_same
 
 FIXTURE = Path(__file__).parents[1] / "runfile/fixtures/damaged.h5.part"
 # Peak of a process that makes the run file of a journal, MB.
@@ -29,19 +29,6 @@ def measured(part, limit):
     """Return samples, lost samples and the peak of a process that makes the run file of a journal."""
     command = [sys.executable, "-c", MEASURE, str(part), str(part.with_suffix("")), str(limit)]
     return [int(word) for word in subprocess.run(command, capture_output=True, check=True).stdout.split()]
-
-
-def assert_same(one, other, name=""):
-    """Compare two values of dataclasses, arrays inside; a column counts as an array."""
-    if is_dataclass(one):
-        for field in fields(one):
-            assert_same(getattr(one, field.name), getattr(other, field.name), f"{name}.{field.name}")
-    elif isinstance(one, np.ndarray):
-        whole = np.asarray(other)
-        assert one.dtype == whole.dtype, name
-        assert np.array_equal(one, whole, equal_nan=one.dtype.kind == "f"), name
-    else:
-        assert one == other, name
 
 
 def test_the_pieces_of_a_journal_make_no_difference(tmp_path, monkeypatch):

@@ -106,7 +106,6 @@ def test_a_unit_that_a_program_does_not_state_is_given(tmp_path, form, unit, t_u
 
 @pytest.mark.parametrize("form", [*BARE, "csv"])
 def test_a_unit_that_cannot_be_is_asked_for_and_not_guessed(tmp_path, form):
-    """Positions in pixels used to be answered with "--x-unit cm?"."""
     own = [("t", "", TIME), ("x", "", 4e3 * X)]
     path = (BARE | FORMATS)[form](tmp_path, own)
     names = {"time": "data.t", "position": "data.x"} if "structure" in form else {}
@@ -121,7 +120,7 @@ def test_si_that_is_assumed_is_said(tmp_path, capsys):
     assert "no units found; assuming m and in s" in capsys.readouterr().out
     path = programs.text(tmp_path / "u.csv", columns())
     assert application.run(app, ["import", str(path), "-o", str(tmp_path / "run.h5"), "--force"]) == 0
-    assert "no unit is stated" not in capsys.readouterr().out
+    assert "no units found" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("decimal", [".", ","])
@@ -150,7 +149,6 @@ def test_a_text_of_kinovea_takes_its_names_from_its_comment(tmp_path, decimal):
     ],
 )
 def test_a_column_of_forces_suggests_the_spring_and_is_read_as_its_stretch(tmp_path, form, unit):
-    """Its advice used to be about pixels: "--x-unit '0.25 mm' for a pixel of that size"."""
     force = ("Fx", unit, STIFFNESS * X * SIZES[unit])
     path = FORMATS[form](tmp_path, [columns()[0], force])
     with pytest.raises(InputError) as caught:
@@ -165,7 +163,7 @@ def test_a_column_of_forces_suggests_the_spring_and_is_read_as_its_stretch(tmp_p
     assert run.rig.belt_speed == Measured(0.05)
 
 
-@pytest.mark.parametrize("name", ["Force", "F", "Load cell", "Kraft"])
+@pytest.mark.parametrize("name", ["F", "Load cell", "Kraft"])
 def test_a_column_called_a_force_is_no_position_in_metres(tmp_path, name):
     path = programs.text(tmp_path / "t.csv", [("t", "s", TIME), (name, "", STIFFNESS * X)])
     with pytest.raises(InputError, match=r"is a force by its name, not a position; .*spring_force=.*force_unit='N'"):
@@ -179,7 +177,6 @@ def test_a_column_called_a_force_is_no_position_in_metres(tmp_path, name):
     ("name", "unit"), [("COF", ""), ("mu", ""), ("µ", ""), ("Friction coefficient", ""), ("y", "-")]
 )
 def test_a_friction_coefficient_is_asked_about_and_never_metres(tmp_path, name, unit):
-    """A column COF used to be positions of half a metre."""
     path = programs.text(tmp_path / "t.csv", [("t", "s", TIME), (name, unit, 0.3 + 10 * X)])
     for position in ({}, {"position": 2}):
         with pytest.raises(

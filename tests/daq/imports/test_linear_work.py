@@ -6,10 +6,8 @@ import time
 from itertools import product
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 
-from daq.imports import columns, layout, table, table_to_run
+from daq.imports import layout, table, table_to_run
 from daq.imports.options import ImportOptions
 
 MODULES = ("daq.imports.columns", "daq.imports.layout", "daq.imports.sigrok", "stickslip.units")
@@ -41,22 +39,6 @@ def test_an_expression_looks_at_each_character_a_few_times(match):
 def test_digits_before_an_unfinished_exponent_are_no_number(cell):
     """Python 3.11.0 to 3.11.4 match ``(?:ab)?+`` to "a" (gh-106052): there, "1.5e" was a number."""
     assert layout.read_number(cell, ".") is None
-
-
-UNIT = re.compile(r"^(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\]|(?:/|,|\bin\b)\s*(\S+))$")
-
-
-@given(st.lists(st.sampled_from(["x", "m", " ", "/", ",", "(", ")", "[", "]", "in", "_"]), max_size=9).map("".join))
-@example("F (N/m)")
-@example("x / , cm")
-def test_a_unit_is_split_off_a_name_as_its_expression_says(name):
-    """`UNIT` says what a unit is; on a name with n blanks it takes n^2 steps, for which `split_unit` stands."""
-    name = name.strip()
-    found = UNIT.match(name)
-    expected = (name, None)
-    if found and found[1]:
-        expected = (found[1], next(part for part in found.groups()[1:] if part is not None).strip())
-    assert columns.split_unit(name) == expected
 
 
 def test_a_header_of_blanks_is_read(tmp_path):

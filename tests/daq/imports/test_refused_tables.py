@@ -36,10 +36,8 @@ KEYWORDS = {field.name for field in fields(ImportOptions)} | set(FLAGS)
 TEXTS = [
     # Lines and cells.
     ("t,x\n0,1\n0.1,lost\n", {}, ["line 3", "column 'x'", "'lost'", "correct"]),
-    ("t,x\n0,foo\n0.1,2\n", {}, ["line 2", "'foo'"]),
     ("0,1\n0.1,\n0.2,3\n", {}, ["line 2", "column 2", "empty"]),
     ("t,x\n0,1\n0.1,nan\n", {}, ["line 3", "'nan'"]),
-    ("t,x\n0,1\ninf,2\n", {}, ["line 3", "column 't'", "'inf'"]),
     ("t,x\n0,1\n1,2\n1,3\n", {}, ["line 4", "does not increase", "1 s after 1 s"]),
     ("t,x\n\n0,1\n# note\n2,2\n1,3\n", {}, ["line 6", "does not increase"]),
     ("t,x\n0,1\n1,2,3\n2,3\n", {}, ["line 3", "3 columns"]),
@@ -54,7 +52,6 @@ TEXTS = [
     ("t,x\n0,1\n1,1e300\n", {}, []),
     ("t,x\n0,1\n1e-310,2\n2e-310,1\n", {}, []),
     ("sep=;\n", {}, []),
-    ("\f\n", {}, []),
     ("x\n" + "1" * 140_000 + "x\n", {"frame_rate": 1.0}, []),
     ("Rate,1000\n0,1\n1,2\n2,5\n", {}, ["line 1, column 1: column 1 contains 'Rate', not a number", "preamble 1"]),
     # Columns.
@@ -89,10 +86,8 @@ TEXTS = [
         {"clock": True},
         ["line 3", "with or without a date such as 2026-03-27"],
     ),
-    *(
-        ("x\n1\n2\n3\n", {"frame_rate": rate}, ["--frame-rate"])
-        for rate in (1e-300, 1e-320, 1e308)  # a RuntimeWarning; a rate of inf Hz
-    ),
+    ("x\n1\n2\n3\n", {"frame_rate": 1e-320}, ["--frame-rate"]),
+    ("x\n1\n2\n3\n", {"frame_rate": 1e308}, ["--frame-rate"]),
     (TWO, {"start": "yesterday"}, ["--start", "zone"]),
     # Options.
     (TWO, {"xunit": "cm"}, ["'xunit' is not an option for tables; did you mean 'x_unit'?"]),
@@ -176,20 +171,6 @@ def stored_elsewhere(path):
     return matlab(path, lambda file: file.create_dataset("x", shape=(1, N), dtype="u1", external=outside))
 
 
-def external_link(path):
-    with h5py.File(path / "other.h5", "w") as file:
-        file["x"] = X[None]
-    return matlab(path, lambda file: file.update({"x": h5py.ExternalLink(str(path / "other.h5"), "/x")}))
-
-
-def virtual(path):
-    with h5py.File(path / "other.h5", "w") as file:
-        file["x"] = X
-    layout = h5py.VirtualLayout(shape=(1, N), dtype="f8")
-    layout[0] = h5py.VirtualSource(str(path / "other.h5"), "x", shape=(N,))
-    return matlab(path, lambda file: file.create_virtual_dataset("x", layout))
-
-
 def linked_run(path):
     os.mkfifo(path / "pipe")
     with h5py.File(path / "run.h5", "w") as file:
@@ -209,7 +190,7 @@ def mat5(path, **variables):
 
 
 def complex_mat5(path):
-    """Write one in 400 damaged files, which ended the command with a segmentation fault: its numbers are complex."""
+    """Write a file whose numbers are complex, which crashes the library."""
     target = mat5(path, t=np.arange(40) / 100, x=np.arange(40.0))
     data = bytearray(target.read_bytes())
     assert data[144:146] == b"\x06\x00"  # class and flags of the first variable
@@ -257,8 +238,6 @@ FILES = [
     (content("a.csv", (b"1," * 4999 + b"1\n") * 3), {}, "5,000 columns, but a table may have at most 4,096"),
     (content("a.csv", HDF5 + bytes(64)), {}, "HDF5"),
     (stored_elsewhere, {}, "reads its data from another file"),  # any file of the reader's became positions
-    (external_link, {}, "is a link to another file"),
-    (virtual, {}, "reads its data from another file"),
     (linked_run, {}, "is a link to another file"),  # waited 80 s for the pipe
     (many_columns, {}, "200,000 columns"),  # a message of 20 MB
     # Damaged files.
@@ -267,7 +246,6 @@ FILES = [
     (content("t.mat", b"MATLAB 7.3 MAT-file".ljust(512) + HDF5 + bytes(90)), {}, "is not a MATLAB file"),
     (content("fake.mat", b"t,x\n0,1\n"), {}, "is not a MATLAB file"),
     (lambda path: mat5(path, name="nothing"), {}, "has no vector"),
-    (lambda path: path / "missing.mat", {}, "no such file"),
     (lambda path: mat5(path, t=TIME, qm=X), {"position": "q"}, "qm"),
     (
         lambda path: mat5(path, t=TIME, x=np.c_[X, -X], x_1=X),
@@ -281,7 +259,7 @@ FILES = [
         {},
         "has no numbers",
     ),
-    *((lambda path, what=what: lvm(path, what), {}, f"X_Dimension is '{what}'") for what in ("Frequency", "Length")),
+    (lambda path: lvm(path, "Frequency"), {}, "X_Dimension is 'Frequency'"),
     (
         lambda path: workbook(path, overload),
         {"position": "x"},
@@ -345,7 +323,6 @@ def test_a_library_that_is_missing_is_named_with_the_extra(tmp_path, monkeypatch
 
 
 def test_a_line_longer_than_a_table_has_is_refused_unread(tmp_path, monkeypatch):
-    """A line of 4 MB was split by every delimiter and each of its cells tried as a number: 11 s."""
     path = tmp_path / "long.csv"
     path.write_text("t,x\n0,1\n" + "1," * table.LONGEST_LINE + "\n0.1,2\n")
     monkeypatch.setattr(layout, "split_cells", lambda *_: pytest.fail("a line was split"))

@@ -9,14 +9,15 @@ import pytest
 
 from daq.cli.app import app
 from daq.imports import capture, replay, sigrok
-from daq.imports.options import ProbeOptions
 from daq.runfile import journal, spill, store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from daq.wire import frames
 from daq.wire.quadrature import GRAY, PHASE
 from stickslip.console import application
 from stickslip.units import Measured
+
+from ...boards import BoardPort, motion
+from ...journals import HEADER, write_journal
 
 PAIR = {0: "A", 1: "B"}
 WIRED = capture.Wiring((0, 1), "x4")
@@ -31,48 +32,11 @@ def swing(tmp_path, write_capture):
 
 @pytest.fixture
 def part(tmp_path):
-    """Write the journal of a board that moved up 3 counts a sample, past a roll-over, 8 samples a frame."""
-    path = tmp_path / "board.h5.part"
-    header = {
-        "protocol": "frames",
-        "port": "fake",
-        "rate_hz": 1000.0,
-        "samples": None,
-        "title": "a board",
-        "operator": "",
-        "wall_ns": 1_714_557_600_000_000_000,
-        "monotonic_ns": 0,
-        "utc_offset_s": 7200,
-        "warnings": [],
-        "provenance": {"port": "fake"},
-    }
-    ident = frames.Ident(
-        firmware=(0, 1, 0),
-        decoder="x4",
-        capabilities=frames.Capability.BLOCKS | frames.Capability.LEVELS,
-        counter_bits=16,
-        tick_ns=1000,
-        block_size=8,
-        max_rate_hz=5000,
-        max_edge_rate_hz=125_000,
-        name="board",
-    )
-    writer = journal.Writer(path, header)
-    writer.append(journal.RECEIVED, 1_000_000, frames.encode_ident(ident) + frames.encode_config(CONFIG))
-    for frame in range(30):
-        up = 65_000 + 3 * np.arange(8 * frame, 8 * frame + 8)
-        block = frames.SampleBlock(
-            seq=8 * frame,
-            time=8000 * frame,
-            illegal=0,
-            dt=[0] + [1000] * 7,
-            up=(up & 0xFFFF).tolist(),
-            down=[0] * 8,
-            status=GRAY[up & 3].tolist(),
-        )
-        writer.append(journal.RECEIVED, 8_000_000 * (frame + 1), frames.encode_samples(block))
-    writer.close()
-    return path
+    """Write the journal of a board whose counters roll over."""
+    board = BoardPort(config=CONFIG)
+    sent = [board.answer("I"), *map(board.encode, range(30))]
+    records = [(journal.RECEIVED, 8_000_000 * (k + 1), data) for k, data in enumerate(sent)]
+    return write_journal(tmp_path / "board.h5.part", records, HEADER | {"protocol": "frames"})
 
 
 @pytest.mark.parametrize("rate", [1000.0, 300.0, 10_000.0])
@@ -106,17 +70,6 @@ def test_a_probe_of_any_name_is_kept(tmp_path, write_capture):
     assert (kept["a"], kept["b"]) == (names[0], names[1])
 
 
-def test_step_pulses_become_two_counters(tmp_path, write_capture):
-    step = np.tile([0, 1], 300)
-    direction = np.repeat([1, 0], 300)
-    path = write_capture(tmp_path / "s.sr", step + 2 * direction, {0: "step", 1: "dir"}, rate="1 kHz")
-    wired = capture.choose_wiring(sigrok.read(path), ProbeOptions(step="step", direction="dir"))
-    run, totals = replay.sample_capture(sigrok.read(path), wired, 1000.0, Rig())
-    assert (totals.up, totals.down) == (150, 150)
-    assert (run.raw.count_up[-1], run.raw.count_down[-1]) == (150, 150)
-    assert run.rig.decoder == "two-counter"
-
-
 def test_illegal_transitions_are_marked_in_the_run(tmp_path, write_capture):
     count = np.arange(200)
     count[120:] += 1  # two counts in one sample: both channels change at once, and the direction is not known
@@ -141,9 +94,9 @@ def test_a_journal_is_replayed_and_kept(part, capsys, tmp_path):
     assert (printed["samples"], printed["lost"], printed["segments"], printed["phase_errors"]) == (240, 0, 1, 0)
     assert part.read_bytes() == before
     recording = store.load(tmp_path / "a.h5")
-    start = 65_000 - 65_536
-    np.testing.assert_array_equal(recording.count, start + 3 * np.arange(240))
-    np.testing.assert_allclose(recording.position, (start + 3 * np.arange(240)) * 1e-5 + 0.001, rtol=1e-15)
+    count = motion(np.arange(240))
+    np.testing.assert_array_equal(recording.count, count)
+    np.testing.assert_allclose(recording.position, count * 1e-5 + 0.001, rtol=1e-15)
 
 
 def test_a_run_is_decoded_anew_from_its_raw_counters(part, tmp_path):

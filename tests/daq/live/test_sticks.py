@@ -9,7 +9,6 @@ import pytest
 import daq
 from daq.live.analysis import FEW_CYCLES, FEWEST_CYCLES, LiveAnalysis, advise
 from daq.live.finished import RunSamples
-from daq.live.sticks import find_usual_speed
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
 from fitting import noise_levels
@@ -127,13 +126,6 @@ def test_a_belt_that_changes_its_speed_is_followed() -> None:
     t = np.concatenate((motion.time, end + 1e-3 + faster.time))
     live = analysed(t, x, 1000.0)
     assert live.belt.value == pytest.approx(2.5 * BELT, rel=5e-3)
-
-
-@pytest.mark.parametrize("count", [1e-5, 4e-5])
-def test_the_usual_speed_of_slow_counts_is_found_over_a_longer_span(count: float) -> None:
-    t = np.arange(20_000) / 1000
-    x = count * np.round(3e-4 * t / count)
-    assert find_usual_speed(t, x, 21) == pytest.approx(3e-4, rel=0.1)
 
 
 def test_the_least_number_of_cycles_is_that_of_the_fit() -> None:

@@ -28,8 +28,7 @@ def polling(rng, n):
     return rng.integers(0, 5, n) * 4 + sometimes(0.02, lambda rng, n: rng.integers(25, 225, n) * 4)(rng, n)
 
 
-# Period, and how late each line is, us; unit of the printed time.  The lines lost in the first release, of 2400 or
-# 12,000: 63, 338, 43, 73, 66; all of them are there now.
+# Period, and how late each line is, us; unit of the printed time.
 TIMERS = {
     "5000 us, 5 % late by 4": (5000, sometimes(0.05, 4), "us"),
     "1000 us, 5 % late by 8": (1000, sometimes(0.05, 8), "us"),
@@ -69,11 +68,12 @@ def counts(stream):
     return (stream.up.astype(np.int64) - stream.down.astype(np.int64) + 2**31) % 2**32 - 2**31
 
 
-@pytest.mark.parametrize("count_is_late", [True, False])
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize(
+    ("motion", "count_is_late"), [("stick-slip", True), ("stick-slip", False), ("at rest", False), ("slow", True)]
+)
 @pytest.mark.parametrize("name", TIMERS)
 def test_no_sound_count_is_lost_for_its_time(name, motion, count_is_late):
-    n = 2700  # 130,000 lines in all
+    n = 2700
     lines, shown, count = printed(name, motion, 5, n, count_is_late=count_is_late)
     stream, line = decoded(lines, name)
     assert stream.crc_errors == 0
@@ -113,7 +113,6 @@ def one_line_changed(change):
 
 @pytest.mark.parametrize("off", [40, 900, -700, 4000, 80_000, 1 << 31])
 def test_a_line_with_a_wrong_time_keeps_its_count(off):
-    # These lines used to be dropped as damaged.
     stream, sent = one_line_changed(lambda time, count: (time + off, count))
     assert stream.crc_errors == 0
     assert np.array_equal(np.column_stack((stream.ticks, counts(stream))), sent[1:])

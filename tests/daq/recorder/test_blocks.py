@@ -247,7 +247,6 @@ def test_an_error_of_the_source_is_raised_and_what_came_before_is_in_the_file(tm
         ((TIME[700:800], ["a"] * 100), "daq.record, block 8: position contains <U1 values instead of numbers"),
         (None, "block 8 is a NoneType instead of two arrays"),
         ((TIME[700:800], MASKED), "daq.record, block 8: position is masked at sample 51 and 48 more"),
-        ((TIME[700:800], X[700:800].astype(complex)), "block 8: position contains complex128 values"),
         ((TIME[700:800], X[700:800] > 0), "block 8: position contains bool values"),
         ((TIME[700:800].astype("M8[s]"), X[700:800]), "block 8: time contains dates or durations instead of numbers"),
         ((TIME[700:800] * np.where(TIME[700:800] > 0.75, 1e12, 1), X[700:800]), "its times reach"),
@@ -278,18 +277,14 @@ def test_a_wrong_block_is_named_and_those_before_it_are_kept(tmp_path, wrong, wo
         (card, {"mass": "3 m"}, "mass: 'm' is not a unit of mass"),
         (card, {"seconds": -1}, "the duration is -1 s"),
         (card, {"tags": {"a b": "c"}}, "'a b=c' is not a tag"),
-        (card, {"tags": 5}, "tags is a int; give a mapping of texts"),
         (card, {"tags": "a=b"}, "tags is a str; give a mapping of texts"),
-        (card, {"note": 5}, "note is a int; give text"),
         (card, {"title": b"a"}, "title is a bytes; give text"),
         (card, {"stop": True}, "stop is a bool; give a threading.Event"),
         (card, {"rig": 5}, "rig is a int; give the path of a rig.toml"),
         (card, {"rate_hz": "1 m"}, "rate_hz: 'm' is not a unit of rate"),
         (card, {"rate_hz": True}, "rate_hz is True; pass a number in Hz"),
         (card, {"rate_hz": float("nan")}, "rate_hz is nan"),
-        (card, {"rate_hz": float("inf")}, "rate_hz is inf"),
         (card, {"rate_hz": "1 kHz +- 1 Hz"}, "rate_hz: '1 kHz +- 1 Hz' has an error, which is not accepted here"),
-        (card, {"rate_hz": (1000, 1)}, "rate_hz: (1000, 1) has an error, which is not accepted here"),
         (card, {"seconds": "2 s +- 1 s"}, "seconds: '2 s +- 1 s' has an error, which is not accepted here"),
         (card, {"seconds": "2 kg"}, "seconds: 'kg' is not a unit of time"),
         (card, {"seconds": float("nan")}, "the duration is nan s"),
@@ -358,7 +353,7 @@ def test_a_damaged_record_costs_its_own_samples(tmp_path):
     found = finalise(part, tmp_path / "damaged.h5", finished_by="daq recover")
     assert (found.samples, found.lost, found.crc_errors) == (1800, 100, 1)
     np.testing.assert_array_equal(daq.load(tmp_path / "damaged.h5").position, np.delete(X[:1900], slice(500, 600)))
-    assert part.read_bytes() == content  # it used to be cut at the damage, and then removed
+    assert part.read_bytes() == content
     assert any("damaged" in text and part.name in text for text in found.warnings)
 
 
@@ -374,7 +369,7 @@ def test_the_live_view_sees_each_block_and_a_marker_becomes_an_event(tmp_path):
             seen.append((sum(one.time.size for one in new), seen[0].counts.lost, seen[0].unit))
             if k == 10:
                 with journal.markers_path(part).open("a") as file:
-                    file.write(f"{time.monotonic_ns()} here\n")
+                    file.write(f"12 long ago\n{time.monotonic_ns()} here\n")
                 time.sleep(0.01)
 
     blocks = ((t[keep], x[keep]) for t, x in card(after=look) for keep in [(t < 0.15) | (t >= 0.16)])

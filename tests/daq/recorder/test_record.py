@@ -28,7 +28,6 @@ from daq.wire import frames
 from stickslip.errors import DataError, DeviceError, InputError
 
 from ...boards import BoardPort, Clock, motion
-from ...journals import HEADER, write_journal
 
 CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\n"
 RATE = 1000
@@ -143,17 +142,16 @@ RUNS = {
         {"segments": 2, "lost": 1600, "events": [(800, "gap"), (800, "invalid")]},
     ),
     "an error of pyserial": ([UNPLUGGED, {}], 2000, REOPENED | {"events": [(400, "reopened")]}),
-    "an error of the system": ([{50: gone(OSError(errno.EIO, "I/O"))}, {}], 2000, REOPENED),
     "an error of in_waiting": ([{50: "in_waiting"}, {}], 2000, REOPENED),
     "silence": ([{range(50, ALWAYS): "drop"}, {}], 2000, REOPENED),
-    "a port that stays away": (  # short and sparse runs used to end like any other
+    "a port that stays away": (
         [UNPLUGGED],
         800,
         {"samples": 400, "short": True, "ended": "port lost"}
         | {"warned": ["0.4 s of samples of the requested 0.8 s were recorded: the port was lost", "(gone) 0."]},
     ),
     "a port lost at the end": ([UNPLUGGED, {}], 401, {"short": False, "sparse": False, "ended": "complete"}),
-    "a port lost again and again": (  # there used to be a warning for each time: 52 kB for 1000
+    "a port lost again and again": (
         [{5: gone(SerialException("gone"))}] * 12 + [{}],
         2000,
         {"segments": 13, "port_lost": 12, "warned": ["lost and reopened 12 times", "the longest outage", "(gone)"]},
@@ -164,15 +162,12 @@ RUNS = {
         {"illegal": 1, "phase_errors": 640, "events": [(160, "illegal"), (160, "phase")]}
         | {"warned": ["may be off by 2"]},
     ),
-    # A jump was trusted: +40,000 made 30 s of a run of 4 s, and a silent reset ended a run early with exit 0.
+    # Of the sequence, of the clock, of both.
     "a jump of the sequence": ([{range(200, ALWAYS): moved(40_000)}], 4000, JUMPED),
     "a silent reset": ([{range(200, ALWAYS): moved(-1600, -1_600_000)}], 4000, JUMPED),
     "a silent reset after an hour": ([{range(200, ALWAYS): moved(30_000, 1_200_000_000)}], 4000, JUMPED),
-    "a jump of sequence and clock": ([{range(200, ALWAYS): moved(-1000, 77)}], 4000, JUMPED),
-    "a jump that is no roll-over": ([{range(200, ALWAYS): moved(69_600, 2_100_000)}], 4000, JUMPED),
     "a jump back in the sequence": ([{range(200, ALWAYS): moved(-200, 500_000)}], 4000, JUMPED),
-    # A leap stood in the time axis, without a segment, an event or a warning.
-    **{f"a leap of the clock by {leap_s} s": leap(leap_s) for leap_s in (0.02, 0.4, 3.0)},
+    **{f"a leap of the clock by {leap_s} s": leap(leap_s) for leap_s in (0.02, 3.0)},
     "a leap within a frame": (
         [{50: WITHIN, range(51, ALWAYS): moved(ticks=20_000)}],
         800,
@@ -226,7 +221,7 @@ def test_a_board_that_pauses_without_counting_it_keeps_its_clock_and_the_pause_i
     [
         (None, "positions are in counts"),
         ("[rig]\nmess = 1\n", "mess"),
-        ("a = " + "[" * 1500, "nested too deeply"),  # these two ended the recording in a traceback
+        ("a = " + "[" * 1500, "nested too deeply"),
         ("[rig]\nmass = 0x" + "f" * 1500, "too many digits"),
     ],
     ids=["none", "unknown key", "deep", "long number"],
@@ -239,8 +234,7 @@ def test_a_calibration_that_cannot_be_read_costs_the_calibration_not_the_run(tak
 
 
 def test_a_board_may_send_any_text(take):
-    # A NUL in a board's name, CONFIG or NOTICE ended in "VLEN strings do not support embedded NULLs", exit code 1,
-    # and so did `daq recover`: nothing could build the journal.  TOML spells one: so did the name of a rig.toml.
+    # HDF5 holds no NUL, and TOML spells one.
     noticed = {50: lambda line: line + frames.encode_notice("b\0\x1b[7m")}
     said = []
     found, run = take(board(noticed, config="# c\0\n" + CONFIG, firmware="a\0\x1b[7m"), say=said.append)
@@ -285,7 +279,7 @@ def test_an_identification_that_cannot_be_true_is_refused_and_a_journal_with_one
     with pytest.raises(DeviceError, match=what):
         record(request(tmp_path))
     assert not list(tmp_path.iterdir())
-    # An earlier version recorded from such a board, and then recover ended in a traceback.
+    # An earlier version recorded from such a board.
     attach(sound)
     with pytest.raises(RecordingInterruptedError):
         record(request(tmp_path), progress=interrupt)
@@ -378,7 +372,6 @@ def test_a_stop_or_a_file_beside_the_journal_ends_the_recording_as_the_first_ctr
 
 
 def test_recover_completes_its_own_run_and_replaces_no_other(tmp_path, attach):
-    # "The output file exists", it used to say, of the run file that was made of this journal.
     attach(board(), board())
     part, run, other = tmp_path / "run.h5.part", tmp_path / "run.h5", tmp_path / "other.h5"
     for output in (run, other):
@@ -415,44 +408,6 @@ def test_a_recovered_file_is_the_finished_one_up_to_who_finished_it(tmp_path, ta
     assert (tmp_path / "run.h5").read_bytes() == (kept / "run.h5").read_bytes()
 
 
-def test_markers_from_another_process_become_events(tmp_path, attach):
-    attach(board())
-    calls = iter(range(100))
-    with pytest.raises(RecordingInterruptedError):
-        record(request(tmp_path, 64), progress=lambda s: interrupt(s) if next(calls) == 4 else None)
-    part = tmp_path / "run.h5.part"
-    stamps = [r.stamp_ns for r in journal.read(part).records if r.kind == journal.RECEIVED]
-    journal.markers_path(part).write_text(f"{stamps[-1]} belt on\n12 long ago\n", encoding="utf-8")
-    finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
-    assert [text for _, text in daq.load(tmp_path / "run.h5").markers] == ["belt on"]
-    assert not journal.markers_path(part).exists()
-
-
-def test_a_journal_without_samples_is_said_to_be_that_and_stays(tmp_path):
-    part = write_journal(tmp_path / "run.h5.part", header=HEADER | {"protocol": "frames"})
-    with pytest.raises(DataError, match="no samples"):
-        finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
-    assert part.exists()
-
-
-def test_the_simulated_rig_is_recorded_to_the_last_sample(tmp_path, monkeypatch, capsys):
-    from daq.cli.app import app
-    from stickslip.console import application
-
-    monkeypatch.chdir(tmp_path)
-    assert application.run(app, ["record", "--duration", "5", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert (answer["samples"], answer["lost"], answer["crc_errors"], answer["segments"]) == (5000, 0, 0, 1)
-    assert (answer["illegal"], answer["phase_errors"], answer["warnings"]) == (0, 0, [])
-    assert answer["rate_hz"] == 1000
-    assert answer["clock_ppm"] is None  # it ran faster than real time: there is no clock to compare with
-    assert answer["duration_s"] == pytest.approx(5.0, abs=1e-3)
-    run = daq.load(tmp_path / answer["file"])
-    assert run.rig.mass.value == pytest.approx(0.3, rel=0.01)
-    assert run.unit == "m"
-    assert store.truth(run.source) is None
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_comes_when_the_recording_is_over_takes_no_result(tmp_path, monkeypatch, capsys, number):
@@ -475,7 +430,6 @@ def test_a_signal_that_comes_when_the_recording_is_over_takes_no_result(tmp_path
 
 
 def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tmp_path):
-    # It used to be waited for, and the port opened anew.
     output = tmp_path / "run.h5"
     heard: list[str] = []
     changes = "set=friction.law%3D3&set=start.v%3D-5"  # the linear curve changes its sign at this slip speed
@@ -485,15 +439,6 @@ def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tm
     assert any("force reversal" in warning for warning in found.warnings)
     kinds = dict(zip(store.load(output).event_kind, store.load(output).event_note, strict=True))
     assert "force reversal" in kinds["notice"]
-
-
-def test_the_peak_edge_rate_is_that_of_the_motion_at_any_sample_rate(tmp_path):
-    # At 20 kHz one count more or less within a sample used to look like 200,000 edges/s.
-    peaks = [
-        record(RecordRequest("rig://rig", tmp_path / f"{rate}.h5", rate_hz=rate, duration_s=3)).peak_edge_rate_hz
-        for rate in (1000, 20_000)
-    ]
-    assert peaks[1] == pytest.approx(peaks[0], rel=0.03)
 
 
 @pytest.mark.parametrize("decoder", ["x4", "x1", "jk", "jk-latched"])
@@ -512,15 +457,8 @@ def test_the_decoder_asked_for_is_the_one_that_counts_and_its_calibration_the_on
         assert np.ptp(error - np.polyval(np.polyfit(truth.x, error, 1), truth.x)) < 1e-5
 
 
-def test_a_given_calibration_replaces_the_boards(tmp_path):
-    text = '[encoder]\nmetres_per_count = 1e-3\n[board]\nport = "rig://rig"\n'
-    record(RecordRequest("rig://rig", tmp_path / "run.h5", duration_s=1, calibration=text))
-    run = daq.load(tmp_path / "run.h5")
-    assert (run.rig.metres_per_count.value, run.rig.mass, run.config_toml) == (1e-3, None, text)
-
-
 def test_a_recorder_that_began_meanwhile_is_not_taken_for_a_crash(tmp_path, take):
-    # The advice was to recover the journal, which destroyed the other run.
+    # To recover that journal would destroy the other run.
     slow, other = board(), []
 
     def answer(line):
@@ -546,7 +484,6 @@ def limit():
 
 
 def test_a_board_that_sends_the_same_samples_again_and_again_ends_at_its_duration(tmp_path, attach, limit):
-    # It used to be read for ever: bytes came, so the port was not silent, and no sample was new.
     same = board().encode(0)
     attach(*(board({range(ALWAYS): lambda line: same}) for _ in range(20)))
     found = record(request(tmp_path, 300), stop=limit)
@@ -558,7 +495,6 @@ def test_a_board_that_sends_the_same_samples_again_and_again_ends_at_its_duratio
 
 
 def test_a_board_that_sends_noise_ends_and_its_bytes_are_kept(tmp_path, attach, limit):
-    # It used to be read for ever, and its journal to be deleted: "it is empty".
     attach(board({range(ALWAYS): lambda line: b"\x55" * 300 + b"\0"}))
     with pytest.raises(DataError, match="no sample could be read from the") as caught:
         record(request(tmp_path, 300), stop=limit)
@@ -569,13 +505,9 @@ def test_a_board_that_sends_noise_ends_and_its_bytes_are_kept(tmp_path, attach, 
     assert part.stat().st_size > 1000
 
 
-@pytest.mark.parametrize(
-    "change", [{"tick_ns": 500}, {"decoder": "x1"}, {"bits": 12}, {"tick_ns": 250, "decoder": "x1", "bits": 15}]
-)
 @pytest.mark.parametrize("how", ["resets", "is replaced"])
-def test_a_segment_is_read_as_the_board_identified_itself_before_it(tmp_path, take, change, how):
-    # All of it used to be read as the first identification says: with a tick of half a length the second segment ran
-    # at half its speed, with a decoder x1 it had a quarter of its speed.
+def test_a_segment_is_read_as_the_board_identified_itself_before_it(tmp_path, take, how):
+    change = {"tick_ns": 250, "decoder": "x1", "bits": 15}
     boards = [board({100: change})] if how == "resets" else [board({100: UNPLUGGED[50]}), board(**change)]
     found, run = take(*boards, samples=2000)
     assert (found.segments, found.lost, found.phase_errors) == (2, 0, 0)
@@ -588,9 +520,9 @@ def test_a_segment_is_read_as_the_board_identified_itself_before_it(tmp_path, ta
     assert run.time[first] - run.time[first - 1] < 0.5
     assert any("identified itself again" in warning for warning in found.warnings)
     assert run.sent_as.segment.tolist() == [0, 1]
-    assert run.sent_as.counter_bits.tolist() == [16, change.get("bits", 16)]
-    assert run.sent_as.counts.tolist() == [1, 4 if "decoder" in change else 1]
-    assert f"tick {change.get('tick_ns', 1000)} ns" in run.sent_as.ident[1]
+    assert run.sent_as.counter_bits.tolist() == [16, 15]
+    assert run.sent_as.counts.tolist() == [1, 4]
+    assert "tick 250 ns" in run.sent_as.ident[1]
     again = replay.decode_run(tmp_path / "run.h5")
     assert np.array_equal(again.count, run.count)
     assert np.array_equal(again.position, run.position)

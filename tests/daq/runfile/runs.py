@@ -1,6 +1,6 @@
-"""Runs to write."""
+"""Runs to write, and to compare."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,20 @@ from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import Raw, positions
 from stickslip.units import Measured
+
+
+def assert_same(one: object, other: object, name: str = "") -> None:
+    """Compare two values of dataclasses, arrays inside; a column counts as an array."""
+    if is_dataclass(one):
+        for field in fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name), f"{name}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        whole = np.asarray(other)
+        assert one.dtype == whole.dtype, name
+        assert np.array_equal(one, whole, equal_nan=one.dtype.kind == "f"), name
+    else:
+        assert one == other, name
+
 
 RIG = Rig(
     name="bench 2",

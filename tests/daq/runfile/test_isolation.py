@@ -46,12 +46,6 @@ def has_a_fault(path: Path) -> bytes:
     raise ZeroDivisionError
 
 
-def test_an_answer_and_a_refusal_come_back_as_they_are():
-    assert run_isolated(answers, Path("a"), 5, 100 * MB) == b"a" * 100_000
-    with pytest.raises(InputError, match=r"^a: is wrong; mend it$"):
-        run_isolated(refuses, Path("a"), 5, 100 * MB)
-
-
 @pytest.mark.parametrize(
     ("work", "what"),
     [

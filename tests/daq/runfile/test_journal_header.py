@@ -48,7 +48,6 @@ def outcome(part):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({*json.loads(FIXTURE.read_bytes()[33:].split(b"}}")[0] + b"}}"), *NOTES}))
 def test_no_field_ends_in_a_traceback(tmp_path, start, name):
-    # 30 of them did: rate_hz 0, wall_ns "x", utc_offset_s 1e6, provenance null ...
     header, records = start
     part = tmp_path / "run.h5.part"
     right = header[name]
@@ -64,8 +63,7 @@ def test_no_field_ends_in_a_traceback(tmp_path, start, name):
 
 @pytest.mark.parametrize("text", ["a\0b", "r\udcfe.h5", "\ud800"])
 def test_a_journal_is_built_whatever_its_texts_hold(tmp_path, start, text):
-    # A NUL of a board, and the bytes of a folder that are no UTF-8, stand in journals of earlier versions: `daq record`
-    # and `daq recover` ended with exit code 1, or refused the header, and nothing could build the run.
+    # A NUL of a board, and the bytes of a folder that are no UTF-8, stand in journals of earlier versions.
     header, records = start
     odd = dict.fromkeys(("title", "operator", "sample_name", "note"), text)
     odd |= {"warnings": [text], "tags": {"tag": text}, "provenance": header["provenance"] | {"command_line": text}}
@@ -105,7 +103,6 @@ def test_a_header_that_is_no_json_object_is_refused(tmp_path, start, text):
 
 @pytest.mark.parametrize("after", [b"", b"".join(journal.journal_records.pack(journal.LOST, 5, b""))])
 def test_a_journal_that_claims_long_records_everywhere_costs_no_more_than_its_length(tmp_path, start, after):
-    # Each claim was summed to its end: a megabyte took half a minute, two took two.
     part = tmp_path / "run.h5.part"
     write(part, start[0], start[1])
     size, content = 120_000, bytearray()

@@ -3,10 +3,11 @@
 import hashlib
 import importlib.util
 import runpy
+import shutil
 import subprocess
 import sys
 import warnings
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +21,19 @@ from hypothesis.extra import numpy as hnp
 from daq.runfile import nexus, schema, store, tree
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from daq.runfile.run_data import EVENTS, Raw, Truth, positions
+from daq.runfile.run_data import EVENTS, Raw, Truth
+from processing.cli import app as process
+from stickslip.console import application
 from stickslip.errors import InputError
 from stickslip.output.lock import FileLock
 from stickslip.units import Measured
 
 from ...conftest import need
-from .runs import RIG, run
+from .runs import RIG, assert_same, run
 
-DOCS = Path(__file__).parents[3] / "docs"
+ROOT = Path(__file__).parents[3]
+DOCS = ROOT / "docs"
+SAMPLE = ROOT / "data_samples" / "law5.h5"
 
 
 def imported(n: int = 101) -> Recording:
@@ -36,45 +41,13 @@ def imported(n: int = 101) -> Recording:
     return replace(bare, clock_offset=np.empty(0), rig=Rig(mass=Measured(0.3)))
 
 
-def column(path: str, unit: str, values: Any, dtype: str = "f8") -> tree.Field:
-    return tree.Field(path, f"{dtype}[n]", unit, "", value=lambda source: values)
-
-
 def smooth(entry: h5py.Group) -> None:
-    time = entry["data/time"][()]
-    made = "smooth/kinematics"
-    rows = (
-        *tree.process("smooth", "process", 1, "phase_portrait"),
-        tree.Group("smooth/parameters", "NXparameters"),
-        tree.Field("smooth/parameters/window", "i8", "", "", value=lambda source: 31),
-        tree.table(made, "time", "position", "kinematics", auxiliary=("velocity",)),
-        column(f"{made}/time", "s", time),
-        *(
-            column(f"{made}/{name}{errors}", unit, np.linspace(0, 1, time.size), dtype)
-            for name, unit in (("position", "m"), ("velocity", "m/s"))
-            for errors, dtype in (("", "f8"), ("_errors", "f4"))
-        ),
-        tree.Group("smooth/phase_portrait", "NXdata", attributes={"signal": "velocity", "axes": "position"}),
-        *(
-            tree.Field(f"smooth/phase_portrait/{name}", "link", "", f"{made}/{name}", value=lambda source: True)
-            for name in ("position", "velocity")
-        ),
-    )
-    tree.write(entry, rows, None)
+    entry["smooth/parameters/sha256_input"] = "x"
+    entry["smooth/kinematics/velocity"] = np.zeros(5_000)
 
 
 def fit(entry: h5py.Group) -> None:
-    law = np.arange(1, 7)
-    rows = (
-        *tree.process("fit", "fit-friction", 2, "ranking"),
-        tree.table("fit/ranking", "law", "weight", "ranking"),
-        column("fit/ranking/law", "", law),
-        column("fit/ranking/weight", "", law / 21),
-        *tree.process("fit_law1", "fit-friction", 2, "parameters"),
-        tree.Group("fit_law1/parameters", "NXparameters"),
-        tree.Field("fit_law1/parameters/Fs", "measured", "N", "", value=lambda source: Measured(1.38, 0.01)),
-    )
-    tree.write(entry, rows, None)
+    entry["fit/ranking/law"] = np.arange(1, 7)
 
 
 def nxcheck(path: Path) -> tuple[int, int]:
@@ -101,21 +74,9 @@ def raw_digest(path: Path) -> str:
 
 
 def same(recording: Recording, data: Recording) -> None:
-    for field in fields(Recording):
-        wanted = getattr(data, field.name)
-        if field.name in ("truth", "source", "default", "digest"):
-            continue
-        found = getattr(recording, field.name)
-        if field.name == "raw" and wanted is not None:
-            for name, column in vars(wanted).items():
-                np.testing.assert_array_equal(getattr(found, name), column)
-                assert column is None or getattr(found, name).dtype == column.dtype
-        elif isinstance(wanted, np.ndarray):
-            np.testing.assert_array_equal(found, wanted)
-            assert found.dtype == wanted.dtype
-        else:
-            assert found == wanted
-    assert recording.truth is None
+    """Compare what a file gives with what was written, but for what only a file has; the truth is apart."""
+    of_file = {name: getattr(recording, name) for name in ("source", "default", "digest")}
+    assert_same(replace(data, truth=None, **of_file), recording)
 
 
 n_samples = 37
@@ -195,11 +156,11 @@ def extend(path: Path, *stages: str) -> None:
         if stage == "smooth":
             store.extend(path, "smooth", smooth, default="smooth")
         else:
-            store.extend(path, ["fit", "fit_law1"], fit, default="fit")
+            store.extend(path, "fit", fit, default="fit")
 
 
 def test_a_run_that_its_writer_still_holds_a_lock_on_is_read(path: Path) -> None:
-    """For an instant after it was replaced; HDF5 takes a lock too, and a reader saw a damaged file."""
+    """For an instant after it was replaced; HDF5 takes a lock too."""
     path.touch()  # a file that this process has not checked yet
     lock = FileLock(path)
     try:
@@ -241,9 +202,7 @@ def with_every_channel() -> Recording:
 
 
 @pytest.mark.parametrize("made", [with_every_channel(), imported()], ids=["recorded", "imported"])
-def test_nxcheck_finds_no_errors_and_no_warnings_at_any_stage_in_what_the_schema_names(
-    tmp_path: Path, made: Recording
-) -> None:
+def test_nxcheck_finds_no_errors_and_no_warnings_in_what_the_schema_names(tmp_path: Path, made: Recording) -> None:
     path = tmp_path / "run.h5"
     store.write(path, made)
     rows = {row.path for row in schema.FIELDS}
@@ -253,20 +212,19 @@ def test_nxcheck_finds_no_errors_and_no_warnings_at_any_stage_in_what_the_schema
         file["entry"].visititems(lambda name, item: written.append(name) if isinstance(item, h5py.Dataset) else None)
     assert [name for name in written if name not in rows and not name.startswith("provenance/")] == []
     assert nxcheck(path) == (0, 0)
-    extend(path, "smooth", "fit")
-    assert nxcheck(path) == (0, 0)
 
 
-def test_xarray_reads_tables_over_time(path: Path) -> None:
+def test_xarray_reads_tables_over_time(tmp_path: Path) -> None:
     need(importlib.util.find_spec("xarray"), "xarray is not installed")
     import xarray
 
-    extend(path, "smooth")
-    time = run().time
+    smoothed = Path(shutil.copy(SAMPLE, tmp_path / "run.h5"))
+    assert application.run(process, ["smooth", str(smoothed), "--method", "sg"]) == 0
+    time = store.load(smoothed).time
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         for group in ("entry/data", "entry/smooth/kinematics"):
-            with xarray.open_dataset(path, group=group, engine="h5netcdf") as table:
+            with xarray.open_dataset(smoothed, group=group, engine="h5netcdf") as table:
                 assert dict(table.sizes) == {"time": time.size}
                 np.testing.assert_array_equal(table["time"], time)
                 if group != "entry/data":
@@ -294,16 +252,6 @@ def test_types_and_units_are_those_of_the_layout(path: Path) -> None:
 
         file.visititems(check)
         assert without == []
-
-
-def test_position_is_count_times_pitch_plus_datum_and_counts_without_a_pitch(tmp_path: Path) -> None:
-    count = np.array([-(2**31), -1, 0, 1, 2**31])
-    rig = Rig(metres_per_count=Measured(2.0**-17), datum=Measured(0.5))
-    assert positions(count, rig).tolist() == [n * 2.0**-17 + 0.5 for n in (-(2**31), -1, 0, 1, 2**31)]
-    store.write(tmp_path / "run.h5", run(rig=Rig()))
-    recording = store.load(tmp_path / "run.h5")
-    assert recording.unit == "count"
-    np.testing.assert_array_equal(recording.position, recording.count)
 
 
 def test_stages_leave_raw_data_untouched_drop_what_was_made_from_the_old_one_and_do_not_pile_up(tmp_path: Path) -> None:
@@ -423,9 +371,9 @@ LOG = "instrument/encoder/value_log"
         (f"{LOG}/time", np.zeros(501), "time does not increase at sample 1"),
         (f"{LOG}/value", np.zeros(3), "has 3 values instead of 501"),
         (f"{LOG}/value", np.full(501, np.inf), "not finite at sample 0"),
-        (f"{LOG}/value", np.full(501, 1e300), "too large at sample 0"),  # an OverflowError in whoever squares it
+        (f"{LOG}/value", np.full(501, 1e300), "too large at sample 0"),
         (f"{LOG}/time", np.arange(501) * 1e300, "its times reach"),
-        (f"{LOG}/time", np.arange(501) * 1e-310, "are too many"),  # a ZeroDivisionError
+        (f"{LOG}/time", np.arange(501) * 1e-310, "are too many"),
         (f"{LOG}/raw_value", np.zeros(501), "instead of one column of int64"),
         ("raw/count_up", np.zeros((501, 2), np.uint16), "2-dimensional"),
         ("raw/levels", np.zeros(5, np.uint8), "has 5 values"),
@@ -445,7 +393,10 @@ def test_wrong_content_is_named(path: Path, name: str, value: Any, words: str) -
 
 
 def test_float_fields_need_units_and_columns_of_one_axis_one_length(tmp_path: Path) -> None:
-    rows = column("t/time", "s", np.zeros(101)), column("t/x", "m", np.zeros(100))
+    rows = [
+        tree.Field(f"t/{name}", "f8[n]", unit, "", value=lambda source, n=n: np.zeros(n))
+        for name, unit, n in (("time", "s", 101), ("x", "m", 100))
+    ]
     with h5py.File(tmp_path / "x.h5", "w") as file:
         with pytest.raises(ValueError, match="no units"):
             nexus.field(file, "speed", 0.22)
@@ -461,10 +412,3 @@ def test_the_documentation_has_a_row_for_every_field() -> None:
         rows = {line.split("|")[1].strip().removesuffix("?") for line in table.splitlines()}
         groups = {f"**{row.path or '/entry'}**" for row in documented if isinstance(row, tree.Group)}
         assert groups | {row.name for row in documented if isinstance(row, tree.Field) and row.text} <= rows
-
-
-def test_more_than_65536_segments_come_back_with_numbers_of_their_own(tmp_path: Path) -> None:
-    # The numbers were stored with 16 bits: segment 65,536 came back as 0.
-    segment = np.linspace(0, 70_000, 501).astype(np.uint32)
-    store.write(tmp_path / "run.h5", run(segment=segment))
-    assert np.array_equal(store.load(tmp_path / "run.h5").segment, segment)

@@ -122,14 +122,6 @@ def test_a_frame_has_the_stamp_of_the_read_that_ended_it_and_a_part_that_of_the_
         assert FrameReader().feed(whole)[0].seq == found.seq[frame]
 
 
-def test_an_endless_line_is_one_damaged_frame_and_a_first_one_none():
-    good = wire.encode_notice("good")
-    for endless, errors in ((good + b"\x07" * 20_000, 1), (b"\x07" * 20_000, 0), (b"\x07" * 20_000 + b"\0" + good, 0)):
-        for size in (512, 40_000):
-            found = decode_whole(in_reads(endless, [size]))
-            assert found.crc_errors == errors
-
-
 def test_the_layout_is_that_of_the_identification_before_the_samples():
     draw = random.Random(1)
     belted = Ident((0, 0, 1), "x4", Capability.BELT, 16, 1000, 8, 1000, 100_000, "rig")
@@ -145,37 +137,6 @@ def test_the_layout_is_that_of_the_identification_before_the_samples():
         (1, found.identified[2].capabilities),
     ]
     assert decode_whole([]).ident is None
-
-
-@settings(max_examples=30)
-@given(st.integers(0, 2**32), st.lists(st.integers(10, 600), min_size=1, max_size=8))
-def test_a_tally_reaches_the_same_however_the_bytes_were_cut(seed, cuts):
-    draw = random.Random(seed)
-    parts, seq = [wire.encode_ident(IDENT)], 0
-    n = draw.choice((1, 8))
-    for k in range(300):
-        line = wire.encode_samples(block(seq, n, draw))
-        seq += n
-        fault = draw.random() if k > 3 else 1.0
-        if fault < 0.01:
-            line = b""
-        elif fault < 0.02:
-            line = line[:-4] + bytes([line[-4] ^ 1]) + line[-3:]
-        elif fault < 0.03:
-            line += line
-        elif fault < 0.04:
-            line += wire.encode_ident(IDENT)
-            seq = 0
-        elif fault < 0.045:
-            line += wire.encode_notice("stop")
-        parts.append(line)
-    tally, slow = FrameTally(), FrameTally()
-    for _, data in in_reads(b"".join(parts), cuts):
-        tally.feed(data)
-    for line in parts:
-        for byte in range(0, len(line), 5):
-            slow.feed(line[byte : byte + 5])
-    assert (tally.reached, tally.resets, tally.notice) == (slow.reached, slow.resets, slow.notice)
 
 
 def test_a_tally_counts_what_came_what_is_lost_and_what_is_illegal():

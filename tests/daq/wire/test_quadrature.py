@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.wire import quadrature
 from daq.wire.quadrature import DECODERS, EDGES_PER_COUNT, Decoder, PulseDecoder, levels_of
 
 # What each change of the levels A + 2 B does, written out by hand: x4, x1, jk (+1 up, -1 down, 0 nothing).
@@ -99,21 +98,6 @@ def test_chunks_decode_as_the_whole(kind, levels, cuts):
         assert (whole.up, whole.down) == scalar_latched(levels)
 
 
-@pytest.mark.parametrize("still", [0, 3])
-@pytest.mark.parametrize("kind", DECODERS)
-def test_pieces_and_totals_alone_decode_as_the_whole(monkeypatch, kind, still):
-    """5000 random levels, each held for ``still`` samples more, in pieces of 7 samples."""
-    levels = np.repeat(np.random.default_rng(still).integers(0, 4, 5000).astype(np.uint8), 1 + still)
-    whole, steps = decoded(kind, levels)
-    monkeypatch.setattr(quadrature, "PIECE", 7)
-    pieces, again = decoded(kind, levels)
-    counted = Decoder(kind)
-    counted.count(levels)
-    assert totals(pieces) == totals(counted) == totals(whole)
-    for field in ("index", "step", "illegal"):
-        assert np.array_equal(getattr(again, field), getattr(steps, field))
-
-
 @pytest.mark.parametrize(
     ("kind", "least", "most"), [("x4", 0, 0), ("x1", -3, 3), ("jk", 39_996, 40_003), ("jk-latched", 39_996, 40_003)]
 )
@@ -145,12 +129,3 @@ def test_step_and_direction_count_rises_only():
     found = decoder.feed(step + 2 * direction)
     assert (decoder.up, decoder.down, decoder.edges, decoder.net) == (2, 1, 3, 1)
     assert found.index.tolist() == [2, 5, 7]
-
-
-@given(st.lists(st.integers(0, 3), max_size=40), st.integers(0, 40))
-def test_step_and_direction_in_chunks_as_in_one(levels, cut):
-    whole, pieces = PulseDecoder(), PulseDecoder()
-    whole.feed(levels)
-    pieces.feed(levels[:cut])
-    pieces.feed(levels[cut:])
-    assert (whole.up, whole.down) == (pieces.up, pieces.down)

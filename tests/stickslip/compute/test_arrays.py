@@ -6,11 +6,6 @@ import pytest
 from stickslip.compute.arrays import autocorrelation_time
 
 
-def test_autocorrelation_time_of_white_noise_is_about_one():
-    noise = np.random.default_rng(1).standard_normal(20_001)
-    assert autocorrelation_time([noise]) == pytest.approx(1.0, abs=0.1)
-
-
 def test_autocorrelation_time_of_a_first_order_process_is_its_closed_form():
     draw, rho = np.random.default_rng(2), 0.8
     pieces = []

@@ -95,8 +95,7 @@ def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path, monke
 @pytest.mark.skipif(sys.platform != "linux", reason="the variables are those of Linux")
 @pytest.mark.parametrize("value", ["", ".", "cache", "~/cache"])
 def test_machine_code_is_never_looked_for_in_the_current_folder(tmp_path, monkeypatch, value):
-    # XDG_CACHE_HOME empty or relative led into the current folder, whose pickles were loaded: a stranger's data folder
-    # could have its reader run anything.
+    # A stranger's data folder could have its reader run anything.
     monkeypatch.chdir(tmp_path)
     home = tmp_path / "home"
     monkeypatch.setenv("HOME", str(home))

@@ -20,7 +20,6 @@ from ...conftest import need
 
 
 def test_a_system_error_without_a_file_name_is_a_json_document_too(capsys):
-    # It used to be taken for a stdout that cannot be written to, and reported on stderr alone.
     app = application.application("rig", "A rig.", "rig fail")
 
     @app.command
@@ -43,7 +42,6 @@ def test_the_version_is_a_json_document_too(capsys):
 
 
 def test_the_doctor_advises_only_what_is_needed_and_names_it(capsys):
-    # Under --json a sound package used to be advised "python -m pip uninstall ; then ...", with no name.
     from daq.cli import setup
     from daq.cli.app import app
 
@@ -55,7 +53,6 @@ def test_the_doctor_advises_only_what_is_needed_and_names_it(capsys):
 
 
 def test_help_shows_the_defaults_that_say_something(capsys):
-    # Every flag that is off used to show "[default: False]".
     from daq.cli.app import app
 
     application.run(app, ["record", "--help"])

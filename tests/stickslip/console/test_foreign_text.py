@@ -54,8 +54,7 @@ def odd(tmp_path, monkeypatch):
     ],
 )
 def test_an_escape_sequence_is_printed_as_text(app, line, holds, odd, capfd):
-    # Each of these commands gave such bytes to the terminal as they came: a title, colours, a line over another one.
-    # rich took "[red]" in a table for a colour of its own.
+    # rich takes "[red]" in a table for a colour of its own.
     samples = "".join(f"{0.01 * k:.2f},{np.sin(0.1 * k):.6f}\n" for k in range(300))
     Path("t.csv").write_text(f"time (s),pos\x1b[31m (m)\n{samples}", newline="")
     Path("rig.toml").write_text('[board]\nport = "/dev/x\\u001b[31m"\n')
@@ -65,16 +64,6 @@ def test_an_escape_sequence_is_printed_as_text(app, line, holds, odd, capfd):
     for words in holds:
         assert words in out + err
     assert not ACTS.search(out + err + log)
-
-
-def test_a_cell_of_a_table_is_no_markup(capsys):
-    table = application.table(f"title{ODD}", ["name", f"head{ODD}"])
-    table.add_row("[bold]a", ODD)
-    application._print_text(table)
-    out = capsys.readouterr().out
-    assert not ACTS.search(out)
-    assert "[bold]a" in out
-    assert out.count("[red]") == 3
 
 
 def test_a_bar_shows_no_escape_sequences(monkeypatch):

@@ -19,7 +19,6 @@ def test_every_entry_point_begins_its_command(entry):
 
 
 def test_an_interrupt_while_modules_are_imported_is_no_traceback(monkeypatch, capfd):
-    # Ctrl-C 50 to 400 ms after the start used to end in a traceback, 8 times of 31.
     def interrupted(name):
         raise KeyboardInterrupt
 
@@ -45,7 +44,6 @@ def test_an_entry_point_imports_nothing_before_it_is_guarded():
 
 
 def test_a_signal_within_the_handler_of_another_is_not_the_first():
-    # INT, TERM and HUP together used to set the request within its own lock, and to print within a print.
     stop = StopRequest()
     stop.set = lambda: nested.append(stop.ask("SIGTERM"))  # a second signal, before the first one is done
     nested = []

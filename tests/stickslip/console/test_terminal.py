@@ -115,7 +115,6 @@ def test_a_number_with_a_unit_is_the_bare_number_in_si(app, command, typed, bare
     ],
 )
 def test_every_stage_of_a_long_analysis_shows_its_progress_in_a_terminal_alone(command, stages, monkeypatch, capsys):
-    # These four commands used to show nothing for as long as they worked.
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "80")
     answers = []

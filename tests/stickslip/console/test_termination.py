@@ -46,9 +46,8 @@ MOMENTS = {
 }
 
 
-def ended(folder, moment, number, ignored=False):
+def ended(folder, moment, number):
     code = COMMAND.format(moment=MOMENTS[moment])
-    how = signal.SIG_IGN if ignored else signal.SIG_DFL
     return subprocess.run(
         [sys.executable, "-c", code],
         cwd=folder,
@@ -57,7 +56,7 @@ def ended(folder, moment, number, ignored=False):
         text=True,
         timeout=60,
         check=False,
-        preexec_fn=lambda: signal.signal(number, how),
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
 
 
@@ -69,9 +68,3 @@ def test_nothing_is_left(tmp_path, moment, number):
     assert done.returncode == -number, done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
-
-
-def test_an_ignored_hangup_stays_ignored(tmp_path):
-    done = ended(tmp_path, "within HDF5", signal.SIGHUP, ignored=True)
-    assert done.returncode == 0, done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]

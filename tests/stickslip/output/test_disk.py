@@ -59,11 +59,9 @@ def refused(capsys, application, *arguments):
 @pytest.mark.parametrize(
     ("module", "line", "room"),
     [
-        # HDF5 used to print its library's own text, twice, and to end in a segmentation fault.
         ("rig_sim.cli.app", "run rig --until 20 --rate 1000 -o motion.h5", 20_000),
         ("rig_sim.cli.app", "run rig --until 20 --rate 1000 -o motion.csv", 20_000),
         ("processing.cli", "inspect run.h5 --plot out.png", 5000),
-        # It used to blame the command: "daq: daq: No space left on device".
         ("daq.cli.app", "export run.h5 --csv out.csv", 5000),
     ],
 )
@@ -83,7 +81,6 @@ def test_what_does_not_fit_is_named_and_leaves_everything_as_it_was(
 
 
 def test_firmware_on_a_full_disk_is_a_disks_failure_and_leaves_no_empty_file(full, tmp_path, capsys):
-    # It used to exit with 2, and to leave files of 0 bytes.
     with full(1000):
         code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
         assert code == 3
@@ -97,8 +94,7 @@ def twice(x):
 
 @pytest.mark.parametrize("number", [0, 1, 2, -1])
 def test_ctrl_c_while_hdf5_writes_comes_when_the_file_is_closed(tmp_path, monkeypatch, number):
-    # The KeyboardInterrupt used to come up within HDF5's own write: it was lost there with a part of the file, or ended
-    # the process with a segmentation fault.
+    # Within HDF5's own write a KeyboardInterrupt is lost with a part of the file, or ends the process.
     path, values = tmp_path / "run.h5", np.arange(20_000.0)
     interrupts = 0
     writes = []
@@ -129,7 +125,6 @@ def test_ctrl_c_while_hdf5_writes_comes_when_the_file_is_closed(tmp_path, monkey
 
 
 def test_machine_code_that_does_not_fit_costs_no_result(full, tmp_path, capsys):
-    # A full home directory used to end every command that had something to compile.
     from stickslip.compute.compile import build
 
     quick = build(twice, tmp_path)
@@ -160,8 +155,7 @@ def test_what_a_killed_command_left_is_removed_by_the_next(tmp_path):
 
 
 def test_a_lock_on_the_folder_holds_nobody_up(tmp_path):
-    # `flock DIR command` is how people keep two scripts apart: every command that writes waited for that lock, which
-    # its own caller held, for ever and without a word.
+    # `flock DIR command` is how people keep two scripts apart.
     import fcntl
 
     folder = os.open(tmp_path, os.O_RDONLY)
