@@ -12,8 +12,7 @@ import numpy as np
 
 from fitting import noise_levels
 from fitting.judge.curve import BandExit, MeasuredCurve, furthest_exit, in_newtons, measure_curve
-from fitting.judge.departures import Base, FittedDeparture, Refit, explain_misfit
-from fitting.judge.fluctuation import fluctuation_share
+from fitting.judge.departures import Base, FittedDeparture, Refit, explain_misfit, fluctuation_share
 from fitting.judge.friction import mass, unit
 from fitting.judge.goodness import (
     GoodnessOfFit,

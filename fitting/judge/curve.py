@@ -23,9 +23,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import special
 
 from fitting import noise_levels
-from fitting.distributions import normal_quantile, student_quantile
 from fitting.judge.linearised import LinearisedFit
 from fitting.judge.parameters import STATED_ERROR, Parameter
 from fitting.least_squares import elimination
@@ -346,8 +346,8 @@ def _summarise(fit: Fit, misfit: float, noise: Array, alpha: float, begun: float
     by_noise_and_scatter = covariances(linear)
     speeds = band_speeds(fit)
     cycles = len(fit.rows)
-    quantile = student_quantile(1 - alpha / 2, max(cycles - 1, 1))
-    columns, widening = curve_columns(fit, speeds), quantile / normal_quantile(1 - alpha / 2)
+    quantile = float(special.stdtrit(max(cycles - 1, 1), 1 - alpha / 2))
+    columns, widening = curve_columns(fit, speeds), quantile / float(special.ndtri(1 - alpha / 2))
     half = half_widths(columns, by_noise_and_scatter, 1 - alpha, widening)
     friction = fit.spline(speeds)
     ramp = float(fit.u[Global.D]) if fit.problem.ramp else 0.0

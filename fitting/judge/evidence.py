@@ -27,9 +27,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from fitting import noise_levels
-from fitting.distributions import student_quantile
 from fitting.judge import parameters
 from fitting.judge.parameters import remove_level_errors
 from fitting.laws import Law
@@ -195,7 +195,7 @@ def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law
     n = errors.shape[1]
     mean = errors.mean(axis=1)
     winner = min(competing_rows, key=lambda k: float(mean[k]))
-    quantile = student_quantile(1 - alpha / 2, n - 1)
+    quantile = float(special.stdtrit(n - 1, 1 - alpha / 2))
     samples = max(n, evidence.samples)
     score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
     behind = {law: _mean_difference(errors[i], errors[winner]) for i, law in enumerate(laws)}
