@@ -157,11 +157,8 @@ def solve(matrix: Array, right: Array) -> Array:
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])
 
 
-LEAST_COST_SHARE = 0.01  # smallest gain over the cost: patterns of rounded counts give 0.4 %
 LEAST_GAIN = 12.0  # smallest gain of a reported departure; on a true law gains reach 6
 SCALES_AT_ONCE = 16  # scales in one computation of curvatures, of which only those within a scale are used
-# Scales tried near the best one of a scan, in steps of the scan.
-STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +180,7 @@ def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
     """Return the departures that lower the cost by more than noise; a drag must dissipate energy."""
-    thin, least_gain = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
+    thin, least_gain = base.thinned(), LEAST_GAIN
     misfit = base.misfit_beyond_noise(noise)
     candidates = []
     for departure in DEPARTURES:
@@ -205,12 +202,7 @@ def find_best_scale(base: Base, departure: Departure) -> float | None:
         return None
     if scales.size == 1:
         return float(scales[0])
-    gain = linear_steps(base, departure, scales)[1]
-    top = int(np.argmax(gain))
-    gaps = np.abs(np.diff(np.log(scales)))
-    gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
-    nearby = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
-    return float(nearby[np.argmax(linear_steps(base, departure, nearby)[1])])
+    return float(scales[np.argmax(linear_steps(base, departure, scales)[1])])
 
 
 def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array, Array]:

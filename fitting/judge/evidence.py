@@ -147,20 +147,6 @@ def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> boo
     return all(fit.geometric_mean_rms > limit for fit in fits)
 
 
-def drag_error(fits: Sequence[Fit], runs: Sequence[Run]) -> float:
-    """Return the smallest rms error of a law in the start-up drags, m; inf without a drag."""
-    used = [number for number, run in enumerate(runs) if run.cut.drag != (0, 0) and run.cut.uses_start]
-    errors = []
-    for fit in fits if used else ():
-        fits_of_runs = [fit.for_run(number) for number in used]
-        rows = [
-            fit_of_run.residual[_drag_rows(fit_of_run, runs[number].cut.drag)]
-            for fit_of_run, number in zip(fits_of_runs, used, strict=True)
-        ]
-        errors.append(math.sqrt(float(np.mean(np.concatenate(rows) ** 2))))
-    return min(errors, default=math.inf)
-
-
 def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
     """Return the residuals of the start-up drag: the sine after it is the same under laws 1 and 2."""
     _, stick, first, count, *_ = fit.windows.table[0]

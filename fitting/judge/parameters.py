@@ -146,6 +146,12 @@ class Correlations:
     def as_json(self) -> dict[str, Any]:
         return {"parameters": list(self.names), "matrix": self.matrix.tolist()}
 
+    def strongest(self, least: float) -> list[tuple[str, str, float]]:
+        """Return pairs of names with a correlation of at least this size, the strongest first."""
+        pairs = [(i, j) for i, j in combinations(range(len(self.names)), 2) if abs(self.matrix[i, j]) >= least]
+        pairs.sort(key=lambda pair: -abs(self.matrix[pair]))
+        return [(self.names[i], self.names[j], float(self.matrix[i, j])) for i, j in pairs]
+
 
 @dataclass(frozen=True)
 class BreakAway:

@@ -113,8 +113,6 @@ def regress_start(
         drag_in_slip = drag(motion.belt_speed - samples.s)[:, np.newaxis]
         drag_in_stick = drag(np.array([motion.belt_speed]))
     v_dr, d, rest = motion.belt_speed, 0.0, datum.value
-    if free_rest and curve == LINEAR:
-        rest = _rest_by_scatter(motion, cut, rest)
     x_slip = break_away_position(motion, cut) + BREAK_AWAY_MARGIN * motion.travel
     friction = _Slips(samples, drag_in_slip, drag_in_stick, x_slip)
     K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, free_rest)
@@ -225,27 +223,6 @@ def _fit_slip_curve(
         F = max(K * float(np.max(x)), 1e-3 * float(np.max(np.abs(a))))
         size = [0.0]
     return float(K), float(F), float(shape), datum + shift, float(sum(size))
-
-
-def _rest_by_scatter(motion: MeasuredMotion, cut: CycleSegmentation, otherwise: float) -> float:
-    """Return the spring's rest position from the scatter of the levels, m.
-
-    Cycle by cycle a = -K x + p - q s with p = level F + K b and q = level G: p against q is a line that meets q = 0 at
-    K b. Needs three cycles whose levels differ; otherwise returns ``otherwise``.
-    """
-    rows = []
-    for cycle in cut.used:
-        slips = slip_samples(motion, replace(cut, cycles=(cycle,)))
-        if slips.x.size > 20:
-            (K, p, q), _ = _solve(np.c_[-slips.x, np.ones_like(slips.x), -slips.s], slips.a)
-            if K > 0 and q > 0:
-                rows.append((K, p, q))
-    if len(rows) < 3:
-        return otherwise
-    K, p, q = np.array(rows).T
-    # both have errors: the slope is the ratio of their spreads
-    rest = float((np.mean(p) - np.std(p) / max(float(np.std(q)), 1e-300) * np.mean(q)) / np.mean(K))
-    return rest if abs(rest - otherwise) < 2 * motion.travel else otherwise
 
 
 def _solve(matrix: Array, target: Array) -> tuple[Array, float]:

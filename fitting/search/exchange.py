@@ -19,7 +19,7 @@ from fitting import noise_levels
 from fitting.laws import SIX, Law
 from fitting.model.curves import LawCurve
 from fitting.model.predict import FitStart, Task, law_task
-from fitting.model.problem import Run
+from fitting.model.problem import FIRST_RAMP, Run
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.search.fit import Fit, PassNoise
 from fitting.search.passes import (
@@ -32,7 +32,6 @@ from fitting.search.passes import (
     first_pass_from_regression,
     fit_break_away_level,
     refit_with_overtaking,
-    restart_windows,
     settle,
 )
 from stickslip.compute.arrays import Array
@@ -44,7 +43,6 @@ logger = logging.getLogger(__name__)
 FAR_BEYOND_BEST = 5.0
 NEAR_BEST = 2.0  # error over the best, or the noise, up to which a start is tried and a fit takes every sample
 LESS_NOISE_ASSUMED = 10.0  # noise over the resolution in a second first pass, made where no task fits to the noise
-NARROW_START = 0.02  # width of a ramp that starts from its jump law's fit, over the width from the regression
 WORSE = 1.0005  # error over a neighbour's, above which a task is fitted again from the neighbour's fit
 
 
@@ -142,10 +140,7 @@ def fit_first_passes(tasks: Sequence[Task], map_tasks: Map, progress: Callable[[
 def retry_first_pass(first: tuple[Task, Fit | None]) -> Fit | None:
     """Repeat a first pass with less noise: much noise avoids local minima, less follows the valley of a wrong law."""
     task, fit = first
-    best = select_better(fit, first_pass_from_regression(task, assume_noise(task, LESS_NOISE_ASSUMED)))
-    if best is None or best.solution.outcome == "converged":
-        return best
-    return select_better(best, first_pass(task, restart_windows(best)))
+    return select_better(fit, first_pass_from_regression(task, assume_noise(task, LESS_NOISE_ASSUMED)))
 
 
 def improve_near_best(
@@ -210,7 +205,7 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
     for neighbour in neighbours:
         if fits_worse(fit, neighbour):
             task = task if fit is None else fit.task
-            start = warm_start(task, neighbour, NARROW_START)
+            start = warm_start(task, neighbour)
             if neighbour.finished:
                 end = finish_from(task, start, neighbour.noise)
             else:
@@ -220,16 +215,14 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
     return fit
 
 
-def warm_start(task: Task, donor: Fit, narrowing: float = 1.0) -> FitStart:
-    """Return a start from another task's fit; a new ramp starts with ``narrowing`` times its regressed width."""
+def warm_start(task: Task, donor: Fit) -> FitStart:
+    """Return a start from another task's fit; a new ramp is narrow."""
     u = donor.u
     curve, donor_curve = task.curve, donor.task.curve
     if isinstance(curve, LawCurve) and isinstance(donor_curve, LawCurve):
         u = task.problem.start_near(donor_curve.law, u)
-        if curve.ramp and not donor_curve.ramp:
-            u[Global.D :: PER_RUN] *= narrowing
     elif curve.ramp and not donor_curve.ramp:
-        u[Global.D :: PER_RUN] = narrowing * task.problem.start[Global.D :: PER_RUN]
+        u[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in task.problem.motions)
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return FitStart(np.concatenate([u[list(task.places)], curve.start, np.zeros(task.widths[2])]), donor.local)
 

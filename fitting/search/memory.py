@@ -25,7 +25,7 @@ from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 
-SEARCHED_CYCLES = 8  # of each run, one after another, which choose among the starts: as many parameters and more
+SEARCHED_CYCLES = 8  # of each run, which choose among starts or screen it: as many as parameters and more
 # Of the starts, over the travel: presliding of bristles, and D of rate and state.
 PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
 TRIED = (1.0, 0.1, 0.01, 0.001)  # values of a rate's parameters over their sizes by unit: lengths from the travel down
