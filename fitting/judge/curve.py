@@ -18,7 +18,6 @@ Not modelled: friction that depends on anything but relative speed and its level
 """
 
 import math
-import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -31,8 +30,9 @@ from fitting.judge.linearised import LinearisedFit
 from fitting.judge.parameters import DERIVATIVE_STEP, STATED_ERROR, Parameter
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import Block, Derivatives, eigen
+from fitting.model.curves import FreeCurve
 from fitting.model.path import Curve, FrictionSpline
-from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task
+from fitting.model.predict import FitStart, Task, curve_knots, free_curve_task
 from fitting.model.problem import EstimationProblem, rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
 from fitting.search.exchange import settle_from_starts
@@ -68,7 +68,6 @@ class MeasuredCurve:
     linear: LinearisedFit = field(repr=False)  # the curve's coordinates are the last unknowns
     noise: Array = field(repr=False)  # (runs,) standard deviation of a position, m
     confidence: float
-    cpu_s: float
 
     @property
     def level_assumed(self) -> bool:
@@ -272,7 +271,9 @@ def band_speeds(fit: Fit) -> Array:
 
 def curve_columns(fit: Fit, s: Array) -> Array:
     """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns."""
-    columns = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), free_curve(fit.task).basis.slopes))
+    if not isinstance(fit.task.curve, FreeCurve):
+        raise TypeError("not the fit of a free curve")
+    columns = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), fit.task.curve.basis.slopes))
     if Global.D in fit.places and fit.problem.ramp:
         h = 1e-4 * fit.spline.knots[-1]
         columns[:, fit.places.index(Global.D)] = -(fit.spline(s + h) - fit.spline(s - h)) / (2 * h)
@@ -306,7 +307,6 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
     ``noise`` (runs,) is in m. The ramp is tried first if it is preferred and fits nearly to the noise. The other
     contact is tried if the first does not fit to the noise and the laws prefer a ramp, or if the search stalled.
     """
-    begun = clock.process_time()
     ordered, prefers_ramp = _order_contacts(fits, noise)
     best: tuple[Fit, float] | None = None
     for fit in ordered:
@@ -318,7 +318,7 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
             best[1] < noise_levels.DESCRIBES or not (prefers_ramp or best[0].outcome == "no progress")
         ):
             break
-    return None if best is None else _summarise(*best, noise, alpha, begun)
+    return None if best is None else _summarise(*best, noise, alpha)
 
 
 def _order_contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
@@ -333,7 +333,7 @@ def _order_contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]
     return [ramp, jump] if prefers_ramp and ramp_near_noise else [jump, ramp], prefers_ramp
 
 
-def _summarise(fit: Fit, misfit: float, noise: Array, alpha: float, begun: float) -> MeasuredCurve:
+def _summarise(fit: Fit, misfit: float, noise: Array, alpha: float) -> MeasuredCurve:
     linear = linearise_spline_fit(fit)
     by_noise_and_scatter = covariances(linear)
     speeds = band_speeds(fit)
@@ -357,7 +357,6 @@ def _summarise(fit: Fit, misfit: float, noise: Array, alpha: float, begun: float
         linear=linear,
         noise=noise,
         confidence=1 - alpha,
-        cpu_s=clock.process_time() - begun,
     )
 
 

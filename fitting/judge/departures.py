@@ -32,7 +32,6 @@ from fitting.model.forces import Departure, FittedMotion, Force, Forcing
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.problem import rest_calibration
-from fitting.model.tangents import tangents
 from fitting.record.motion import MeasuredMotion
 from fitting.search.exchange import FAR_BEYOND_BEST, NEAR_BEST
 from fitting.search.fit import Fit
@@ -107,15 +106,8 @@ class Base:
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
         """Return the response (N, all columns) of the positions to forcings of one kind."""
-        acceleration, belt_speed, reading = (
-            None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True)
-        )
-        if acceleration is None and belt_speed is None and reading is not None:
-            return reading
-        columns = acceleration if belt_speed is None else np.zeros_like(belt_speed)
-        if columns is None:
-            raise ValueError("a forcing without any effect")
-        return tangents(self.path, columns, belt_speed=belt_speed, position=reading)
+        columns = (None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True))
+        return Forcing(*columns).respond(self.path)
 
     def misfit_beyond_noise(self, noise: float) -> float:
         """Return the cost of the residuals above that of the noise, m."""
@@ -145,9 +137,7 @@ def log_probability(coefficients: Array, covariance: Array, cycles: int) -> floa
 def sigmas(log_p: float, trials: float = 1.0) -> float:
     """Return the significance, in standard deviations, of a two-sided tail exp(log_p) after this number of trials."""
     log_tail = min(log_p + math.log(max(trials, 1.0)), 0.0) - math.log(2)
-    if log_tail > -700:
-        return max(-float(special.ndtri(math.exp(log_tail))), 0.0)
-    return math.sqrt(-2 * log_tail - math.log(-2 * log_tail * 2 * math.pi))
+    return max(-float(special.ndtri_exp(log_tail)), 0.0)
 
 
 def solve(matrix: Array, right: Array) -> Array:

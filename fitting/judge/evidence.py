@@ -55,13 +55,6 @@ SAME_SCORE = 1  # decimals of a score: the scores of one curve in two forms agre
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    laws: tuple[Law, ...]
-    penalised_errors: Array  # (laws, units) log error of each unit, penalty included
-    samples: float = 0.0  # effective samples, at least one a unit
-
-
-@dataclass(frozen=True, eq=False)
 class Units:
     """The units of the comparison, the same for every law."""
 
@@ -147,6 +140,20 @@ def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> boo
     return all(fit.geometric_mean_rms > limit for fit in fits)
 
 
+def drag_error(fits: Sequence[Fit], runs: Sequence[Run]) -> float:
+    """Return the smallest rms error of a law in the start-up drags, m; inf without a drag."""
+    used = [number for number, run in enumerate(runs) if run.cut.drag != (0, 0) and run.cut.uses_start]
+    errors = []
+    for fit in fits if used else ():
+        fits_of_runs = [fit.for_run(number) for number in used]
+        rows = [
+            fit_of_run.residual[_drag_rows(fit_of_run, runs[number].cut.drag)]
+            for fit_of_run, number in zip(fits_of_runs, used, strict=True)
+        ]
+        errors.append(math.sqrt(float(np.mean(np.concatenate(rows) ** 2))))
+    return min(errors, default=math.inf)
+
+
 def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
     """Return the residuals of the start-up drag: the sine after it is the same under laws 1 and 2."""
     _, stick, first, count, *_ = fit.windows.table[0]
@@ -174,18 +181,20 @@ class ModelSet:
     behind: dict[Law, tuple[float, float]]  # mean paired difference of log error to the best law, and its error
 
 
-def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law] | None = None) -> ModelSet:
-    """Apply the set rule to two units or more; only the laws ``among``, which describe the record, have weight."""
-    laws, errors = evidence.laws, evidence.penalised_errors
-    competing_rows = [k for k, law in enumerate(laws) if among is None or law in among]
-    n = errors.shape[1]
-    mean = errors.mean(axis=1)
-    winner = min(competing_rows, key=lambda k: float(mean[k]))
+def model_confidence_set(
+    errors: Mapping[Law, Array], alpha: float, among: Collection[Law] | None = None, samples: float = 0.0
+) -> ModelSet:
+    """Apply the set rule to log errors (units,), penalties included, of two units or more.
+
+    Only the laws ``among``, which describe the record, have weight; ``samples`` are the effective ones.
+    """
+    competing = [law for law in errors if among is None or law in among]
+    mean = {law: float(own.mean()) for law, own in errors.items()}
+    first = min(competing, key=mean.__getitem__)
+    n = errors[first].size
     quantile = float(special.stdtrit(n - 1, 1 - alpha / 2))
-    samples = max(n, evidence.samples)
-    score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
-    behind = {law: _mean_difference(errors[i], errors[winner]) for i, law in enumerate(laws)}
-    first, competing = laws[winner], [laws[k] for k in competing_rows]
+    score = {law: 2 * max(n, samples) * (mean[law] - mean[first]) for law in errors}
+    behind = {law: _mean_difference(own, errors[first]) for law, own in errors.items()}
     tied = {
         law
         for law in competing
@@ -197,7 +206,7 @@ def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law
     preferred = [law for law in members if first.contains(law)]
     members = [*preferred[:1], *(law for law in members if law not in preferred[:1])]
     total = sum(math.exp(-score[law] / 2) for law in competing)
-    weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in laws}
+    weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in errors}
     return ModelSet(tuple(members), score, weight, behind)
 
 

@@ -14,7 +14,7 @@ from fitting.model.curves import FreeCurve, FrictionCurve, LawCurve
 from fitting.model.forces import FittedMotion, Force, Forcing
 from fitting.model.path import Curve, Path, follow, positions
 from fitting.model.problem import EstimationProblem, Run
-from fitting.model.tangents import local_tangents, tangents
+from fitting.model.tangents import local_tangents
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array, Integers
@@ -83,13 +83,6 @@ def law_task(law: Law, runs: Sequence[Run], forces: Sequence[Force] = ()) -> Tas
     """Return the task of one of the six laws; a ramp breaks away at the level of slip."""
     problem = EstimationProblem.build(law, runs)
     return Task(problem, LawCurve(law), problem.active, tuple(forces)).without(Global.STATIC)
-
-
-def free_curve(task: Task) -> FreeCurve:
-    """Return the free curve of a task; TypeError for that of a law."""
-    if not isinstance(task.curve, FreeCurve):
-        raise TypeError("not the task of a free curve")
-    return task.curve
 
 
 def curve_knots(runs: Sequence[Run], d: float) -> Array:
@@ -228,13 +221,7 @@ class Model:
     def _columns(self, path: Path, q: Array) -> Array:
         _, theta, sizes = self.task.split(q)
         parts = [self.task.curve.columns(path, theta, self.task.places)]
-        for forcing in self._forcings(path, sizes):
-            width = next(column.shape[1] for column in forcing if column is not None)
-            if forcing.acceleration is None and forcing.belt_speed is None and forcing.reading is not None:
-                parts.append(forcing.reading)
-                continue
-            acts = np.zeros((path.time.size, width)) if forcing.acceleration is None else forcing.acceleration
-            parts.append(tangents(path, acts, belt_speed=forcing.belt_speed, position=forcing.reading))
+        parts += [forcing.respond(path) for forcing in self._forcings(path, sizes)]
         return np.asarray(np.hstack([*parts, local_tangents(path)]))
 
     def _curve(self, q: Array, theta: Array) -> Curve | None:

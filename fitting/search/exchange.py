@@ -119,8 +119,8 @@ def fit_all(
     for fit in fits:
         if fit is not None:
             logger.debug("settled: law %s, %.4g um", fit.law.name, 1e6 * fit.geometric_mean_rms)
-    requested = [task for task in tasks if is_requested(task)]
-    needed = [is_requested(task) or any(other.curve.contains(task.curve) for other in requested) for task in tasks]
+    wanted = [task.problem.law for task in tasks if is_requested(task)]
+    needed = [is_requested(task) or any(law.contains(task.problem.law) for law in wanted) for task in tasks]
     fits, needed_tasks = list(compress(fits, needed)), list(compress(tasks, needed))
     finished = improve_near_best(fits, finish, NEAR_BEST, map_tasks)
     finished = exchange_starts(needed_tasks, finished, map_tasks, old_fits=fits)
@@ -191,8 +191,8 @@ def exchange_starts(
 def list_better_neighbours(task: Task, fit: Fit | None, fits: Sequence[Fit], limit: float) -> list[Fit]:
     """Return the best nested law, the ramp of this law and, for errors below ``limit``, the best fits of all."""
     ranked = sorted((other for other in fits if fits_worse(fit, other)), key=lambda other: other.geometric_mean_rms)
-    best = [other for other in ranked if task.curve.contains(other.task.curve)][:1]
-    best += [other for other in ranked if other.task.curve.is_ramp_of(task.curve)]  # a ramp of no width is the jump
+    best = [other for other in ranked if task.problem.law.contains(other.law)][:1]
+    best += [other for other in ranked if other.law.is_ramp_of(task.problem.law)]  # a ramp of no width is the jump
     if fit is None or not (fit.finished or fit.geometric_mean_rms > limit):
         best += [other for other in ranked if other.task.curve.ramp == task.curve.ramp][:1]
         best += ranked[:1]
@@ -231,18 +231,18 @@ def mark_overtaking(fits: Sequence[Fit | None], map_tasks: Map) -> list[Fit | No
     """Apply the overtaking found with one curve to its jump and ramp: a ramp may fit it with a very low level."""
     limits = [0.0 if fit is None else FAR_BEYOND_BEST * fit.task.resolution for fit in fits]
     overtaking_by_curve = [
-        (fit.task.curve, find_overtaking(fit))
+        (fit.law, find_overtaking(fit))
         for fit, limit in zip(fits, limits, strict=True)
         if fit is not None and fit.geometric_mean_rms < limit
     ]
     marked_fits: dict[int, Fit] = {}
     for k, fit in enumerate(fits):
         if fit is not None:
-            curve = fit.task.curve
+            law = fit.law
             of_same_curve = [
                 cycles
                 for other, cycles in overtaking_by_curve
-                if other is curve or other.is_ramp_of(curve) or curve.is_ramp_of(other)
+                if other == law or other.is_ramp_of(law) or law.is_ramp_of(other)
             ]
             if np.any(of_same_curve):
                 marked_fits[k] = refit_with_overtaking(fit, np.any(of_same_curve, axis=0)) or fit

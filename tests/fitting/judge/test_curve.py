@@ -140,4 +140,4 @@ def test_the_level_of_two_runs_without_a_datum_is_assumed(measured, contact):
 def test_what_is_no_function_of_speed_keeps_its_misfit(change, measured, contact):
     result = measured(contact(**change))
     assert result.curve.chi > 1.2
-    assert result.curve.cpu_s < 4  # it used to search on from hopeless starts
+    assert result.curve.spline_fit.cpu_s < 4  # it used to search on from hopeless starts
