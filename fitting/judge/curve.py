@@ -214,17 +214,7 @@ def _start_from_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | 
         local[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 0.0
     task = free_curve_task(problem, knots, u, coefficients)
     index = list(task.places)
-    return task, FitStart(np.concatenate([u[index], task.curve.start]), _replace_fast_starts(fit, local))
-
-
-def _replace_fast_starts(fit: Fit, local: Array) -> Array:
-    """Replace starts faster than the belt by those of the smoothed motion."""
-    if fit.law.ramp:
-        return local
-    smoothed = fit.windows.starting_values(fit.problem.motions)
-    too_fast = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]
-    local[too_fast, : PerCycle.LEVEL] = smoothed[too_fast, : PerCycle.LEVEL]
-    return local
+    return task, FitStart(np.concatenate([u[index], task.curve.start]), local)
 
 
 def _spline_problem(fit: Fit, rest: Measured | None) -> EstimationProblem:

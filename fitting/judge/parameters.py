@@ -388,7 +388,8 @@ def friction_band(fit: Fit, motion: MeasuredMotion, speed: Array, alpha: float) 
 
     slopes = differences(friction_of, constraints.q, constraints.steps)
     variance = np.einsum("ni,sij,nj->sn", slopes, constraints.covariances, slopes).max(axis=0)
-    by_length = (friction_of(constraints.q, 1 + 1e-6) - friction_of(constraints.q, 1 - 1e-6)) / 2e-6
+    longer, shorter = (friction_of(constraints.q, 1 + side * DERIVATIVE_STEP) for side in (1, -1))
+    by_length = (longer - shorter) / (2 * DERIVATIVE_STEP)
     scale = motion.mass or motion.stiffness
     of_scale = 0.0 if scale is None else scale.sd / scale.value * friction_of(constraints.q)
     quantile = float(special.stdtrit(max(len(fit.rows) - 1, 1), 1 - alpha / 2))

@@ -278,8 +278,8 @@ class EstimationProblem:
             # Constant friction constrains only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             calibrations = {
-                Global.DATUM: (datum.value, _precision(datum_sd, 1e-6 * motion.travel)),
-                Global.DAMPING: (damping.value, _precision(damping.sd, 1e-6 * omega)),
+                Global.DATUM: (datum.value, _precision(datum_sd, HELD_SD * motion.travel)),
+                Global.DAMPING: (damping.value, _precision(damping.sd, HELD_SD * omega)),
             }
             begin = regression._replace(shape=min(first_shape, steepest), damping=damping.value)
             if belt is not None and belt.sd > 0:
@@ -359,22 +359,6 @@ class EstimationProblem:
         for u_of_run, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
             u_of_run[: Global.DATUM + 1] = unknowns.to_array(p)[: Global.DATUM + 1]
         return np.clip(start, self.lower, self.upper), size
-
-    def start_near(self, other: Law, u: Array) -> Array:
-        """Return the unknowns (13 runs,) of this law that are nearest to the fit u of another law.
-
-        A new ramp is very narrow; another curve is that of the regression.
-        """
-        start, kind, other_kind = u.copy(), self.law.kind, other.kind
-        if kind.ramp and not other_kind.ramp:
-            start[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in self.motions)
-            start[Global.STATIC :: PER_RUN] = 1.0
-        elif other_kind.ramp and not kind.ramp:
-            start[Global.D :: PER_RUN], start[Global.STATIC :: PER_RUN] = self.start[Global.D :: PER_RUN], 1.0
-        if kind.curve_code != other_kind.curve_code:
-            for slot in (Global.LOG_F, Global.SHAPE):
-                start[slot::PER_RUN] = self.start[slot::PER_RUN]
-        return np.where(self.fixed, self.start, start)
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
         """Return the windows of all runs, of every sample or thinned (`thinned_to`)."""

@@ -216,13 +216,15 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
 
 
 def warm_start(task: Task, donor: Fit) -> FitStart:
-    """Return a start from another task's fit; a new ramp is narrow."""
-    u = donor.u
-    curve, donor_curve = task.curve, donor.task.curve
-    if isinstance(curve, LawCurve) and isinstance(donor_curve, LawCurve):
-        u = task.problem.start_near(donor_curve.law, u)
-    elif curve.ramp and not donor_curve.ramp:
-        u[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in task.problem.motions)
+    """Return a start from another task's fit: a new ramp is narrow, another curve of the six that of the regression."""
+    u, regressed, curve, donor_curve = donor.u, task.problem.start, task.curve, donor.task.curve
+    if curve.ramp != donor_curve.ramp:
+        narrow = FIRST_RAMP * min(motion.belt_speed for motion in task.problem.motions)
+        u[Global.D :: PER_RUN] = narrow if curve.ramp else regressed[Global.D :: PER_RUN]
+        u[Global.STATIC :: PER_RUN] = 1.0
+    if isinstance(curve, LawCurve) and isinstance(donor_curve, LawCurve) and curve.code != donor_curve.code:
+        for slot in (Global.LOG_F, Global.SHAPE):
+            u[slot::PER_RUN] = regressed[slot::PER_RUN]
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return FitStart(np.concatenate([u[list(task.places)], curve.start, np.zeros(task.widths[2])]), donor.local)
 
