@@ -28,7 +28,7 @@ from fitting.model.flow import SEARCH_STEP
 from fitting.model.memory_flow import BRISTLES, P0, PER_WINDOW, RATE_AND_STATE, SHARED
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.problem import EstimationProblem, Run, choose_thinning, cycle_starts
+from fitting.model.problem import EstimationProblem, choose_thinning, cycle_starts
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
@@ -52,10 +52,6 @@ KERNELS = (*memory.MODULES, "rig_sim.flow.modes", memory_flow.__name__)
 
 class MemoryProblem(EstimationProblem):
     """The constants of the fit of a law with memory."""
-
-    @classmethod
-    def of_law(cls, law: Law, runs: Sequence[Run]) -> "MemoryProblem":
-        return cls(**vars(EstimationProblem.build(law, runs)))
 
     @property
     def cycles(self) -> tuple[Cycle, ...]:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -254,7 +254,7 @@ class EstimationProblem:
     precision: Array
 
     @classmethod
-    def build(cls, law: Law, runs: Sequence[Run]) -> "EstimationProblem":
+    def build(cls, law: Law, runs: Sequence[Run]) -> Self:
         """Regress the start and turn the calibrations into priors.
 
         Several runs start from the median regression of the contact.
@@ -316,7 +316,7 @@ class EstimationProblem:
             precision=precision.ravel(),
         ).with_user_values()
 
-    def with_user_values(self) -> "EstimationProblem":
+    def with_user_values(self) -> Self:
         """Return the problem with the user's values of its law's shared unknowns."""
         if not any(run.user_values.get(self.law.name) for run in self.runs):
             return self

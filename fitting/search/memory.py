@@ -43,8 +43,8 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
     if any(run.motion.compliance is not None for run in runs):
         return "laws with memory are not modelled on a belt that slows under load"
     steady = [replace(run, ripple=None) for run in runs]
-    problem = MemoryProblem.of_law(law, steady)
-    few_cycles = MemoryProblem.of_law(law, [_with_few_cycles(run) for run in steady])
+    problem = MemoryProblem.build(law, steady)
+    few_cycles = MemoryProblem.build(law, [_with_few_cycles(run) for run in steady])
     begun = list(starting_values(law, problem, nearest))
     if not begun:
         return "no initial values were found that follow the measured slips; set them with --start"
