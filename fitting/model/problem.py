@@ -32,6 +32,7 @@ from stickslip.units import Measured
 
 LOOSE_REST = 0.05  # error of a rest position over the travel, above which the rest position is also fitted
 STEEPEST_LINE = 0.8  # largest fall of a linear curve over its level, up to the fastest slip, in a start
+BREAK_AWAY_MARGIN = 0.1  # distance over the travel by which the level at rest may exceed the observed break-aways
 OVERTAKING_LEVEL = 0.9  # level over the load at landing: the friction level where the mass overtakes the belt
 LEAST_LEVEL = 0.2  # smallest value of that level, over Fs
 STICK_SLOPE = 0.12  # slips: shortest stick whose slope is fitted
@@ -106,16 +107,19 @@ def regress_start(
     samples = slip_samples(motion, cut)
     level, slope = stick_velocity_line(motion, cut)
     free_rest = datum.sd > LOOSE_REST * motion.travel
-    dragged = np.empty((samples.x.size, 0))
+    drag_in_slip, drag_in_stick = np.empty((samples.x.size, 0)), np.empty(0)
     if drag is not None:
-        dragged = drag(motion.belt_speed - samples.s)[:, np.newaxis]
+        drag_in_slip = drag(motion.belt_speed - samples.s)[:, np.newaxis]
+        drag_in_stick = drag(np.array([motion.belt_speed]))
     v_dr, d, rest = motion.belt_speed, 0.0, datum.value
-    K, F, shape, rest, size = _fit_slip_curve(samples, dragged, curve, rest, d, v_dr, free_rest)
+    x_slip = break_away_position(motion, cut) + BREAK_AWAY_MARGIN * motion.travel
+    friction = _Slips(samples, drag_in_slip, drag_in_stick, x_slip)
+    K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, free_rest)
     if ramp:
         v_dr = level + slope * rest
         belt_slope = 0.0 if motion.compliance is None else motion.compliance.value
         d = float(np.clip((-slope - belt_slope) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
-        K, F, shape, rest, size = _fit_slip_curve(samples, dragged, curve, rest, d, v_dr, free_rest)
+        K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, free_rest)
     return Values(K, F, v_dr, shape, d, rest), size
 
 
@@ -153,35 +157,51 @@ def with_static(curve: int, p: Values, static: float) -> Values:
     return p._replace(F=F, shape=shape, d=d, static=static)
 
 
-def _fit_slip_curve(
-    samples: SlipSamples, dragged: Array, curve: int, datum: float, d: float, v_dr: float, free_rest: bool
-) -> tuple[float, float, float, float, float]:
-    """Return (K, F, shape, datum) of a slip curve and the size of the drag, or an estimate if that is not physical.
+@dataclass(frozen=True, eq=False)
+class _Slips:
+    """The data of a regression.
 
-    ``dragged`` (n, k), k of 0 or 1, are accelerations of a drag.
+    ``drag_in_slip`` (n, k), k of 0 or 1, are accelerations of a drag, ``drag_in_stick`` (k,) those on the belt; the
+    mass leaves the belt before ``x_slip``, m.
     """
+
+    samples: SlipSamples
+    drag_in_slip: Array
+    drag_in_stick: Array
+    x_slip: float
+
+
+def _fit_slip_curve(
+    slips: _Slips, curve: int, datum: float, d: float, v_dr: float, free_rest: bool
+) -> tuple[float, float, float, float, float]:
+    """Return (K, F, shape, datum) of a slip curve and the size of the drag, or an estimate if that is not physical."""
+    samples, drag_in_slip = slips.samples, slips.drag_in_slip
     x, s, a = samples.x - datum, np.maximum(samples.s - d, 0.0), samples.a
     ones = np.ones_like(x)
     shape, shift = 0.0, 0.0
     if curve == LINEAR:
-        (K, F, G, *_), _ = _solve(np.c_[-x, ones, -s, dragged], a)
+        (K, F, G, *_), _ = _solve(np.c_[-x, ones, -s, drag_in_slip], a)
         shape = float(np.clip(G / F if F > 0 else np.inf, 1e-3 / v_dr, STEEPEST_LINE / float(s.max())))
-        (K, F, *size), _ = _solve(np.c_[-x, 1 - shape * s, dragged], a)
+        (K, F, *size), _ = _solve(np.c_[-x, 1 - shape * s, drag_in_slip], a)
     elif curve == HYPERBOLIC:
         best = np.inf
         K = F = -1.0
         size = [0.0]
         for gamma in np.geomspace(0.03, 300, 41) / v_dr:
-            columns = np.c_[-x, 1 / (1 + gamma * s), dragged]
+            columns = np.c_[-x, 1 / (1 + gamma * s), drag_in_slip]
             solution, error = _solve(np.c_[columns, ones] if free_rest else columns, a)
             if not (solution[0] > 0 and solution[1] > 0):
                 continue
+            drag = solution[2 : 2 + drag_in_slip.shape[1]]
+            level = solution[1] + (solution[-1] if free_rest else 0.0) + float(np.sum(drag * slips.drag_in_stick))
+            beyond_break_away = datum + level / solution[0] > slips.x_slip
+            if beyond_break_away and best < np.inf:  # if all are beyond, the smallest gamma is used
+                break
             if error < best:
-                best, K, F, shape = error, float(solution[0]), float(solution[1]), float(gamma)
-                size = list(solution[2 : 2 + dragged.shape[1]])
+                best, K, F, shape, size = error, float(solution[0]), float(solution[1]), float(gamma), list(drag)
                 shift = float(solution[-1]) / K if free_rest else 0.0
     else:
-        (K, F, *size), _ = _solve(np.c_[-x, ones, dragged], a)
+        (K, F, *size), _ = _solve(np.c_[-x, ones, drag_in_slip], a)
     if not (K > 0 and F > 0 and math.isfinite(K + F)):
         # The regression with a wrong curve is not physical: take the spring from the largest deceleration instead.
         K = float(np.max(np.abs(a)) / max(np.ptp(x), 1e-12))

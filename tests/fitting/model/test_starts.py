@@ -8,7 +8,7 @@ import pytest
 from fitting.model import problem
 from fitting.model.unknowns import Values
 from fitting.record import cycles
-from rig_sim.friction.curve import magnitude
+from rig_sim.friction.curve import CONSTANT, magnitude
 from stickslip.units import Measured
 
 
@@ -27,7 +27,7 @@ def test_no_start_has_a_level_beyond_the_observed_break_aways(motion_of):
 @pytest.mark.parametrize(
     ("curve", "shape", "static"),
     [
-        (problem.CONSTANT, 0.0, 1.5),
+        (CONSTANT, 0.0, 1.5),
         (problem.LINEAR, 3.0, 1.5),
         (problem.HYPERBOLIC, 3.0, 1.5),
         # the level was found by iteration, and came out negative: `ValueError: math domain error`
