@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 # Imported by name: they import this module.
-PAGE, SCENE, REPORTS = "fitting.report.page", "fitting.scene", "fitting.words.reports"
+PAGE, SCENE, TEXTS = "fitting.report.page", "fitting.scene", "fitting.report.terminal"
 SAVED = f"stickslip ranking {VERSION}\n".encode()
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
@@ -131,7 +131,7 @@ class LawResult(_Row):
     behind : (float, float) or None
         Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
-        Distance of the law's orbit to the measured one, over the orbit's size (`fitting.judge.orbit`).
+        Distance of the law's orbit to the measured one, over the orbit's size (`fitting.judge.friction`).
     fit : Fit
         The fit in its frame: per unit mass, with a belt that runs towards +x.
     motion : MeasuredMotion
@@ -506,11 +506,11 @@ class Ranking:
 
     def fit_report(self) -> str:
         """Return the fit of the best law as text in the form of lmfit: statistics, parameters, correlations."""
-        return str(import_module(REPORTS).fit_report(self))
+        return str(import_module(TEXTS).fit_report(self))
 
     def ci_report(self) -> str:
         """Return the confidence intervals of the best law's parameters as text: lower end, value, upper end."""
-        return str(import_module(REPORTS).ci_report(self))
+        return str(import_module(TEXTS).ci_report(self))
 
     def save(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
         """Write the ranking, with records and fits, into a file for `load`.

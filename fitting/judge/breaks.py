@@ -2,10 +2,16 @@
 
 The smoothed corner gives the load at break-away 6 to 7 % too low or high.  So the time is searched at which a slip
 under the fitted law must start to pass through the measured positions around the corner.
+
+No window of the fit contains the break-aways, so a law can fit although the contact ages. Source: J. H. Dieterich, Pure
+Appl. Geophys. 116 (1978) 790 (static friction grows with the logarithm of the time at rest). Not modelled: if no law
+fits, the level depends on the law, and the ratio is meaningless.
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +23,9 @@ from fitting.record.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.record.motion import MeasuredMotion
 from fitting.record.ripple import Ripple
 from fitting.search.fit import Fit
+from processing.record.motion import Finding
 from stickslip.compute.arrays import Array
+from stickslip.units import Measured
 
 # Times in slips (`MeasuredMotion.slip_s`).
 SEARCH_RANGE, SEARCH_STEP = 0.3, 2e-4  # about the smoothed break-away
@@ -212,3 +220,89 @@ def _spans(windows: ShootingWindows) -> tuple[Array, Array]:
     breaks = np.flatnonzero((table[1:, 0] == table[:-1, 0]) & (table[:-1, 1] == 1) & (table[1:, 1] == 0))
     end[breaks] = begin[breaks + 1]
     return begin, end
+
+
+FEWEST_BREAK_AWAYS = 6  # break-aways needed to estimate a scatter
+LEAST_EXCESS = 0.02  # of the break-away level over that of slip; under the six laws the ratio is up to 0.7 % off
+ERRORS_SHOWN = 5.0  # standard errors above which an excess, or a growth, is reported
+
+
+class BreakAways(NamedTuple):
+    """The break-aways of one run."""
+
+    events: Sequence[BreakAway]
+    stick_starts: Mapping[int, float]  # s, after the slip of each cycle, by its number; NaN if unknown
+    error: float  # common standard deviation of their levels, over the level
+
+
+def find_other_break_away(runs: Sequence[BreakAways], level: float, unit: str) -> list[Finding]:
+    """Return a finding if the break-away levels of the runs disagree with friction at rest (``level``)."""
+    each = [_levels(run) for run in runs]
+    ratio = np.concatenate([ratios for ratios, _ in each])
+    if ratio.size < FEWEST_BREAK_AWAYS:
+        return []
+    mean = float(ratio.mean())
+    error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), max(run.error for run in runs))
+    sd = math.hypot(error, LEAST_EXCESS / ERRORS_SHOWN)
+    if abs(mean - 1) < ERRORS_SHOWN * sd:
+        return []
+    measured = mean * level
+    text = (
+        f"break-away: the measured friction at break-away is {measured:.4g} +- {error * level:.2g} {unit}, "
+        f"but the law gives {level:.4g} {unit} at rest"
+    )
+    growth = _growth([(*levels, run.error) for levels, run in zip(each, runs, strict=True)])
+    if growth is not None and len(runs) > 1:
+        size = f"{100 * growth.value:.2g} +- {100 * growth.sd:.1g} %"
+        text += f". From run to run it grows by {size} when the time at rest grows e-fold"
+    elif growth is not None and growth.value > ERRORS_SHOWN * growth.sd:
+        text += f". It grows by about {100 * growth.value:.2g} % when the time at rest grows e-fold"
+    return [Finding("break-away", text, measured, level, abs(mean - 1) / sd)]
+
+
+def _levels(run: BreakAways) -> tuple[Array, Array]:
+    """Return the break-away levels of a run over that at rest, and the stick times before them, s (NaN if unknown)."""
+    usable = [event for event in run.events if not event.flag and math.isfinite(event.break_away_level)]
+    ratio = np.array([event.break_away_level / event.kinetic_scale for event in usable])
+    return ratio, np.array([event.t - run.stick_starts.get(event.number - 1, math.nan) for event in usable])
+
+
+def _growth(runs: Sequence[tuple[Array, Array, float]]) -> Measured | None:
+    """Return the slope of the ratio against the log stick time; for several runs, the slope of their means.
+
+    Within a run the slope can be half or twice the true one: a level that is high by chance also makes the stick
+    longer.  That does not bias the means, whose errors are those of the scatter about the slope.
+    """
+    logs = []
+    for ratio, stick, error in runs:
+        usable = np.isfinite(stick) & (stick > 0)
+        if usable.sum() >= FEWEST_BREAK_AWAYS:
+            logs.append((np.log(stick[usable]), ratio[usable], error))
+    if len(runs) == 1:
+        return _slope_within(*logs[0][:2]) if logs else None
+    if len(logs) < 2:
+        return None
+    growth = _slope_of_means(logs, 0.0)
+    return None if growth is None else _slope_of_means(logs, growth.value)
+
+
+def _slope_of_means(runs: Sequence[tuple[Array, Array, float]], slope: float) -> Measured | None:
+    """Return the slope of the means of y over those of x, weighted by the scatter of y about ``slope``."""
+    x = np.array([one.mean() for one, _, _ in runs])
+    y = np.array([one.mean() for _, one, _ in runs])
+    variance = np.array([(b - slope * a).var(ddof=1) / a.size + error**2 for a, b, error in runs])
+    x = x - np.average(x, weights=1 / variance)
+    square = float(np.sum(x**2 / variance))
+    return Measured(float(np.sum(x * y / variance)) / square, 1 / math.sqrt(square)) if square > 0 else None
+
+
+def _slope_within(x: Array, y: Array) -> Measured | None:
+    """Return the slope of y (n,) over x (n,), with a standard error robust to outliers."""
+    x, y = x - x.mean(), y - y.mean()
+    square = float(np.sum(x**2))
+    if square == 0:
+        return None
+    slope = float(np.sum(x * y)) / square
+    # each point's own residual, raised by its leverage (HC3: J. MacKinnon, H. White, J. Econometrics 29 (1985) 305)
+    scores = x * (y - slope * x) / (1 - x**2 / square - 1 / x.size)
+    return Measured(slope, math.sqrt(float(np.sum(scores**2))) / square)

@@ -6,6 +6,10 @@ departure, and a free curve can absorb part of one. The columns of a departure a
 on a thinned record. Each departure is then fitted together with a law, as part of its motion; a scanned scale is one
 more unknown.
 
+Where no departure explains the record, random friction acts on the fitted motion, and all unknowns are fitted again, to
+first order in it. Its correlation time is chosen such that the remaining residual, with the noise, has the correlation
+time of the record's residual.
+
 Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests).
 """
 
@@ -16,9 +20,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy import special
 
 from fitting import noise_levels
-from fitting.distributions import fisher_log_tail, normal_quantile
 from fitting.judge.curve import MeasuredCurve
 from fitting.judge.library import DEPARTURES
 from fitting.judge.linearised import LinearisedFit
@@ -27,12 +31,12 @@ from fitting.model.flow import SEARCH_STEP
 from fitting.model.forces import Departure, FittedMotion, Force, Forcing
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.tangents import tangents
+from fitting.model.problem import rest_calibration
 from fitting.record.motion import MeasuredMotion
 from fitting.search.exchange import FAR_BEYOND_BEST, NEAR_BEST
 from fitting.search.fit import Fit
 from fitting.search.passes import finish, first_pass, settle, start_from_regression
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, autocorrelation_time
 from stickslip.units import Measured
 
 
@@ -102,15 +106,8 @@ class Base:
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
         """Return the response (N, all columns) of the positions to forcings of one kind."""
-        acceleration, belt_speed, reading = (
-            None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True)
-        )
-        if acceleration is None and belt_speed is None and reading is not None:
-            return reading
-        columns = acceleration if belt_speed is None else np.zeros_like(belt_speed)
-        if columns is None:
-            raise ValueError("a forcing without any effect")
-        return tangents(self.path, columns, belt_speed=belt_speed, position=reading)
+        columns = (None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True))
+        return Forcing(*columns).respond(self.path)
 
     def misfit_beyond_noise(self, noise: float) -> float:
         """Return the cost of the residuals above that of the noise, m."""
@@ -133,15 +130,14 @@ def log_probability(coefficients: Array, covariance: Array, cycles: int) -> floa
     """Return the log p-value of coefficients (k,) by Hotelling's T^2 of the cycles."""
     k, n = coefficients.size, cycles
     statistic = float(np.sum(coefficients * solve(covariance, coefficients)))
-    return fisher_log_tail(statistic * (n - k) / (k * (n - 1)), k, n - k)
+    probability = float(special.fdtrc(k, n - k, max(statistic * (n - k) / (k * (n - 1)), 0.0)))
+    return math.log(probability) if probability > 0 else -math.inf
 
 
 def sigmas(log_p: float, trials: float = 1.0) -> float:
     """Return the significance, in standard deviations, of a two-sided tail exp(log_p) after this number of trials."""
     log_tail = min(log_p + math.log(max(trials, 1.0)), 0.0) - math.log(2)
-    if log_tail > -700:
-        return max(-normal_quantile(math.exp(log_tail)), 0.0)
-    return math.sqrt(-2 * log_tail - math.log(-2 * log_tail * 2 * math.pi))
+    return max(-float(special.ndtri_exp(log_tail)), 0.0)
 
 
 def solve(matrix: Array, right: Array) -> Array:
@@ -151,11 +147,8 @@ def solve(matrix: Array, right: Array) -> Array:
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])
 
 
-LEAST_COST_SHARE = 0.01  # smallest gain over the cost: patterns of rounded counts give 0.4 %
 LEAST_GAIN = 12.0  # smallest gain of a reported departure; on a true law gains reach 6
 SCALES_AT_ONCE = 16  # scales in one computation of curvatures, of which only those within a scale are used
-# Scales tried near the best one of a scan, in steps of the scan.
-STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +170,7 @@ def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
     """Return the departures that lower the cost by more than noise; a drag must dissipate energy."""
-    thin, least_gain = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
+    thin, least_gain = base.thinned(), LEAST_GAIN
     misfit = base.misfit_beyond_noise(noise)
     candidates = []
     for departure in DEPARTURES:
@@ -199,12 +192,7 @@ def find_best_scale(base: Base, departure: Departure) -> float | None:
         return None
     if scales.size == 1:
         return float(scales[0])
-    gain = linear_steps(base, departure, scales)[1]
-    top = int(np.argmax(gain))
-    gaps = np.abs(np.diff(np.log(scales)))
-    gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
-    nearby = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
-    return float(nearby[np.argmax(linear_steps(base, departure, nearby)[1])])
+    return float(scales[np.argmax(linear_steps(base, departure, scales)[1])])
 
 
 def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array, Array]:
@@ -393,3 +381,66 @@ def amplitude(coefficients: Array, spreads: Array) -> Measured:
     size = float(coefficients[0]) if coefficients.size == 1 else float(np.hypot(*coefficients))
     along = coefficients / size if size else np.full(coefficients.size, coefficients.size**-0.5)
     return Measured(size, math.sqrt(float(np.einsum("i,sij,j->s", along, spreads, along).max())))
+
+
+DRAWS, SEED = 6, 5  # the same draws for every record; the size is then accurate to a factor of two or three
+HARMONICS = 64  # sines in one draw
+# Correlation times of the friction over that of the residual, which is longer, since inertia smooths a force.
+TIMES_TRIED = (1.0, 0.5, 0.25, 0.125, 0.0625)
+
+
+def fluctuation_share(
+    base: Base, repeated: float, count_repeated: Callable[[Array], Array], noise: float
+) -> float | None:
+    """Return the standard deviation of random friction over the friction at rest.
+
+    None if a larger share of the residual (``repeated``) repeats from slip to slip than under random friction, or if
+    the motion is unstable.
+    """
+    linear, path = base.linear, base.path
+    excess = median_rms(linear.residual, linear.rows) ** 2 - noise**2
+    if not excess > 0:
+        return None
+    rng = np.random.default_rng(SEED)
+    white = noise * rng.standard_normal((linear.residual.size, DRAWS))
+    friction = np.where(path.stuck, 0.0, path.friction)[:, None]
+    steps = np.diff(path.windows.time)
+    correlation = _correlation_time(linear.residual, base)
+    sizes: list[tuple[float, float]] = []
+    repeat = -math.inf
+    for share in TIMES_TRIED:
+        time = share * correlation * float(np.median(steps[steps > 0])) / math.sqrt(2 * math.pi)
+        response = base.respond([Forcing(acceleration=friction * _draw_correlated(path.time, time, rng))])
+        refitted = linear.refit_columns(response)
+        unit_rms = float(np.median([median_rms(draw, linear.rows) for draw in refitted.T]))
+        if math.isfinite(unit_rms) and unit_rms > 0:
+            size = math.sqrt(excess) / unit_rms
+            simulated = size * refitted + white
+            times = [_correlation_time(draw, base) for draw in simulated.T]
+            sizes.append((abs(math.log(float(np.median(times)) / correlation)), size))
+            repeat = max(repeat, float(np.max(count_repeated(simulated))))
+    if not sizes or repeated > repeat:
+        return None
+    return min(sizes)[1] * base.fit.values.F / _friction_at_rest(base.fit)
+
+
+def _friction_at_rest(fit: Fit) -> float:
+    """Return friction at the break-aways, m/s^2, from the spring's stretch: the level of a wrong law is arbitrary."""
+    rows_of_first_run = [rows for rows, run in zip(fit.rows, fit.windows.run, strict=True) if run == 0]
+    highest = float(np.mean([np.max(fit.windows.position[rows]) for rows in rows_of_first_run]))
+    return fit.values.K * (highest - rest_calibration(fit.problem.runs[0]).value)
+
+
+def _correlation_time(residual: Array, base: Base) -> float:
+    """Return the correlation time in samples."""
+    return autocorrelation_time([residual[rows] for rows in base.linear.rows])
+
+
+def _draw_correlated(time: Array, correlation: float, rng: np.random.Generator) -> Array:
+    """Return random numbers (M, DRAWS) of unit variance at times, s, with a Gaussian correlation."""
+    rate = rng.standard_normal((HARMONICS, DRAWS)) / correlation
+    phase = rng.uniform(0.0, 2 * math.pi, (HARMONICS, DRAWS))
+    total = np.zeros((time.size, DRAWS))
+    for frequency, shift in zip(rate, phase, strict=True):
+        total += np.cos(time[:, None] * frequency + shift)
+    return math.sqrt(2 / HARMONICS) * total

@@ -27,9 +27,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from fitting import noise_levels
-from fitting.distributions import student_quantile
 from fitting.judge import parameters
 from fitting.judge.parameters import remove_level_errors
 from fitting.laws import Law
@@ -52,13 +52,6 @@ TIED_SCORE = 1.0
 # differ by S +- 2 sqrt(S): the wrong law leads by more than this in at most 2 % of the records.
 OPEN = 4.0
 SAME_SCORE = 1  # decimals of a score: the scores of one curve in two forms agree to these
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    laws: tuple[Law, ...]
-    penalised_errors: Array  # (laws, units) log error of each unit, penalty included
-    samples: float = 0.0  # effective samples, at least one a unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,18 +181,20 @@ class ModelSet:
     behind: dict[Law, tuple[float, float]]  # mean paired difference of log error to the best law, and its error
 
 
-def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law] | None = None) -> ModelSet:
-    """Apply the set rule to two units or more; only the laws ``among``, which describe the record, have weight."""
-    laws, errors = evidence.laws, evidence.penalised_errors
-    competing_rows = [k for k, law in enumerate(laws) if among is None or law in among]
-    n = errors.shape[1]
-    mean = errors.mean(axis=1)
-    winner = min(competing_rows, key=lambda k: float(mean[k]))
-    quantile = student_quantile(1 - alpha / 2, n - 1)
-    samples = max(n, evidence.samples)
-    score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
-    behind = {law: _mean_difference(errors[i], errors[winner]) for i, law in enumerate(laws)}
-    first, competing = laws[winner], [laws[k] for k in competing_rows]
+def model_confidence_set(
+    errors: Mapping[Law, Array], alpha: float, among: Collection[Law] | None = None, samples: float = 0.0
+) -> ModelSet:
+    """Apply the set rule to log errors (units,), penalties included, of two units or more.
+
+    Only the laws ``among``, which describe the record, have weight; ``samples`` are the effective ones.
+    """
+    competing = [law for law in errors if among is None or law in among]
+    mean = {law: float(own.mean()) for law, own in errors.items()}
+    first = min(competing, key=mean.__getitem__)
+    n = errors[first].size
+    quantile = float(special.stdtrit(n - 1, 1 - alpha / 2))
+    score = {law: 2 * max(n, samples) * (mean[law] - mean[first]) for law in errors}
+    behind = {law: _mean_difference(own, errors[first]) for law, own in errors.items()}
     tied = {
         law
         for law in competing
@@ -211,7 +206,7 @@ def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law
     preferred = [law for law in members if first.contains(law)]
     members = [*preferred[:1], *(law for law in members if law not in preferred[:1])]
     total = sum(math.exp(-score[law] / 2) for law in competing)
-    weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in laws}
+    weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in errors}
     return ModelSet(tuple(members), score, weight, behind)
 
 

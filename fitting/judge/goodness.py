@@ -28,9 +28,9 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from fitting import noise_levels
-from fitting.distributions import gamma_tail, gamma_upper_quantile
 from fitting.judge.linearised import LinearisedFit, Repeat
 from fitting.least_squares.normal_equations import Block, UnfollowableError
 from fitting.model.path import Path
@@ -368,7 +368,9 @@ def tail_probability(value: float, null: Array) -> float | None:
     """Return the p-value under a gamma distribution with the moments of ``null``; None if all repetitions are equal."""
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
     # The mean of equal numbers differs from them by rounding, so their spread is not exactly 0.
-    return gamma_tail(value, mean, spread) if mean > 0 and spread > ROUNDING * mean else None
+    if not (mean > 0 and spread > ROUNDING * mean):
+        return None
+    return float(special.gammaincc((mean / spread) ** 2, max(value * mean / spread**2, 0.0)))
 
 
 TIMES_TRIED = 120  # candidate times of a step in a cycle
@@ -483,7 +485,7 @@ def detectable_amplitude(run: RunSlips, wave: Array, square: Array) -> float:
 def _amplitude(null: Array, excess: float, variance: float) -> float:
     """Return the amplitude a at which a ratio, (mean of ``null`` + a^2 excess)/(1 + a^2 more), reaches its limit."""
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
-    limit = gamma_upper_quantile(REJECTED / TESTS, mean, spread)
+    limit = float(special.gammainccinv((mean / spread) ** 2, REJECTED / TESTS)) * spread**2 / mean
     gain = excess - limit * variance
     return math.sqrt((limit - mean) / gain) if gain > 0 else math.inf
 

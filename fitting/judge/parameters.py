@@ -23,8 +23,8 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import special
 
-from fitting.distributions import student_quantile
 from fitting.judge.friction import friction_at
 from fitting.least_squares.levenberg_marquardt import linearise
 from fitting.least_squares.normal_equations import (
@@ -145,6 +145,12 @@ class Correlations:
 
     def as_json(self) -> dict[str, Any]:
         return {"parameters": list(self.names), "matrix": self.matrix.tolist()}
+
+    def strongest(self, least: float) -> list[tuple[str, str, float]]:
+        """Return pairs of names with a correlation of at least this size, the strongest first."""
+        pairs = [(i, j) for i, j in combinations(range(len(self.names)), 2) if abs(self.matrix[i, j]) >= least]
+        pairs.sort(key=lambda pair: -abs(self.matrix[pair]))
+        return [(self.names[i], self.names[j], float(self.matrix[i, j])) for i, j in pairs]
 
 
 @dataclass(frozen=True)
@@ -338,7 +344,7 @@ def derived_parameters(
     constrained by the data, only the constrained combination is given.
     """
     constraints = _constrain(fit, motion, run)
-    quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
+    quantile = float(special.stdtrit(max(len(fit.rows) - 1, 1), 1 - alpha / 2))
     parameters: dict[str, Parameter] = {}
     for row, scale in _table(fit, motion, constraints):
         parameters[row.name] = _derive(row, scale, constraints, motion, quantile)
@@ -382,10 +388,11 @@ def friction_band(fit: Fit, motion: MeasuredMotion, speed: Array, alpha: float) 
 
     slopes = differences(friction_of, constraints.q, constraints.steps)
     variance = np.einsum("ni,sij,nj->sn", slopes, constraints.covariances, slopes).max(axis=0)
-    by_length = (friction_of(constraints.q, 1 + 1e-6) - friction_of(constraints.q, 1 - 1e-6)) / 2e-6
+    longer, shorter = (friction_of(constraints.q, 1 + side * DERIVATIVE_STEP) for side in (1, -1))
+    by_length = (longer - shorter) / (2 * DERIVATIVE_STEP)
     scale = motion.mass or motion.stiffness
     of_scale = 0.0 if scale is None else scale.sd / scale.value * friction_of(constraints.q)
-    quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
+    quantile = float(special.stdtrit(max(len(fit.rows) - 1, 1), 1 - alpha / 2))
     return np.asarray(quantile * np.sqrt(variance + (by_length * motion.length_error) ** 2 + of_scale**2))
 
 
@@ -651,7 +658,7 @@ def _wear_parameters(trend: Wear | None, level: Parameter | None, alpha: float) 
     if trend is None:
         return {}
     first, rate = trend.first, trend.rate
-    quantile = student_quantile(1 - alpha / 2, trend.degrees_of_freedom)
+    quantile = float(special.stdtrit(trend.degrees_of_freedom, 1 - alpha / 2))
     parameters = {}
     if level is not None:
         error = math.hypot(level.stderr * first.value, level.value * first.sd)

@@ -1,4 +1,4 @@
-"""The printed ranking of `fit-friction`: verdict, laws, parameters, goodness of fit, warnings."""
+"""Printed texts: the ranking of `fit-friction`, and the best law in the form of lmfit, whose users know it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
+LEAST_CORRELATION = 0.1  # listed, as in lmfit
 INTERVAL = 3  # column of the table of parameters that may be broken over two lines
 
 
@@ -93,3 +94,40 @@ def _parameters(ranking: Ranking) -> "Table":
         column.no_wrap = False
         column.min_width = max(map(len, (*whole, *headings[place].split())))
     return table
+
+
+def fit_report(ranking: Ranking) -> str:
+    best = ranking.best
+    lines = ["[[Model]]", f"    {best.called}, F = {best.fit.law.written}", "[[Fit Statistics]]"]
+    numbers = {
+        "data points": best.fit.residual.size,
+        "cycles": best.cycles,
+        "rms residual": f"{best.rms_m:.4g} m",
+        "misfit": f"{best.misfit:.4g} (rms over noise)",
+        "Akaike info crit": f"{best.aic:.8g}",
+        "Bayesian info crit": f"{best.bic:.8g}",
+    }
+    lines += [f"    {name:18} = {number}" for name, number in numbers.items()]
+    lines.append("[[Variables]]")
+    width = max(map(len, best.parameters)) + 1
+    lines += [f"    {f'{name}:':{width}} {item.brief}" for name, item in best.parameters.items()]
+    correlations = ranking.correlations()
+    if correlations is not None:
+        lines.append(f"[[Correlations]] (unreported correlations are < {LEAST_CORRELATION:.3f})")
+        pairs = correlations.strongest(LEAST_CORRELATION)
+        lines += [f"    C({first}, {second}) = {value:+.4f}" for first, second, value in pairs]
+    return "\n".join(lines)
+
+
+def ci_report(ranking: Ranking) -> str:
+    confidence = f"{100 * (1 - ranking.alpha):g}%"
+    rows = [("", confidence, "best", confidence)]
+    for name, item in ranking.best.parameters.items():
+        digits = item.decimals
+        ends = (f"{item.lo:.{digits}f}", f"{item.value:.{digits}f}", f"{item.hi:.{digits}f}")
+        withheld = ("withheld", f"{item.value:.4g}", "withheld")
+        rows.append((f"{name}:", *(ends if item.trusted else withheld)))
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    return "\n".join(
+        "  ".join([f"{row[0]:{widths[0]}}", *(f"{row[k]:>{widths[k]}}" for k in (1, 2, 3))]) for row in rows
+    )

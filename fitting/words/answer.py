@@ -16,10 +16,8 @@ import numpy as np
 
 from fitting.judge import breaks
 from fitting.judge.adequacy import NONE_FITTED, NONE_OF_SIX, Adequacy
-from fitting.judge.fluctuation import BreakAways, find_other_break_away
-from fitting.judge.friction import mass, unit
+from fitting.judge.friction import MeasuredOrbit, mass, unit
 from fitting.judge.judgement import Competition
-from fitting.judge.orbit import MeasuredOrbit
 from fitting.judge.parameters import (
     RUN_PARAMETERS,
     UNDETERMINED_WITH,
@@ -272,14 +270,14 @@ def _other_break_away(competition: Competition) -> list[Finding]:
             return []  # its motion contains the break-aways
         if fit.law.key in competition.compatible:
             runs = [
-                BreakAways(
+                breaks.BreakAways(
                     breaks.find_break_aways(fit.for_run(number), run.motion, run.cut),
                     breaks.find_stick_starts(fit.for_run(number), run.cut),
                     break_away_level_error(fit, run.motion, number),
                 )
                 for number, run in enumerate(competition.runs)
             ]
-            found.append(find_other_break_away(runs, fit.values.F * mass(motion, fit), unit(motion)))
+            found.append(breaks.find_other_break_away(runs, fit.values.F * mass(motion, fit), unit(motion)))
     return found[0] if all(found) else []
 
 

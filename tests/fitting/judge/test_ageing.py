@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.judge.breaks import find_stick_starts
-from fitting.judge.fluctuation import BreakAways, find_other_break_away
+from fitting.judge.breaks import BreakAways, find_other_break_away, find_stick_starts
 from fitting.judge.law_fits import cut_run
 from fitting.judge.parameters import BreakAway
 from fitting.laws import SIX

@@ -120,3 +120,12 @@ def test_a_known_revolution_is_not_scanned(base_of):
 def test_an_error_of_the_reading_is_named_by_what_read_it(counted, words):
     """Camera tracks with lens distortion were reported with "an eccentric encoder wheel"; the name of the row stays."""
     assert LIBRARY["eccentricity"].says(counted=counted) == words
+
+
+def test_significance_is_that_of_fishers_distribution_in_normal_standard_deviations():
+    from scipy import stats  # 2 s, which no other test needs
+
+    found = departures.log_probability(np.array([3.0, 4.0]), np.diag([0.5, 0.5]), 19)
+    assert found == pytest.approx(stats.f.logsf(50.0 * 17 / (2 * 18), 2, 17), rel=1e-9)
+    assert departures.sigmas(np.log(2 * stats.norm.sf(5.0))) == pytest.approx(5.0)
+    assert departures.sigmas(-1e4) == pytest.approx(np.sqrt(2e4), rel=1e-2)  # beyond what a number holds

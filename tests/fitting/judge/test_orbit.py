@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.judge.orbit import MeasuredOrbit
+from fitting.judge.friction import MeasuredOrbit
 
 
 @pytest.mark.parametrize("late", [0.0, 0.3])

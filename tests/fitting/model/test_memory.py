@@ -77,7 +77,7 @@ def nearest(law, seed=3, speed=0.22):
 
 
 def first_start(law, contact):
-    problem = memory.MemoryProblem.of_law(law, [run_of(contact)])
+    problem = memory.MemoryProblem.build(law, [run_of(contact)])
     values, u = next(starting_values(law, problem, nearest(contact)))
     task = memory.memory_task(law, problem, values)
     return task, memory.warm_start(task, u)
@@ -130,7 +130,7 @@ def test_two_formulas_move_as_the_published_law_that_they_are():
     """Theirs is the logarithm that an asinh is beside slip this fast, and its state the age, not its logarithm."""
     values, moved = truth("ageing"), []
     for law in (MEMORY["ageing"], OWN.given(fix={"v0": 1.0})):
-        problem = memory.MemoryProblem.of_law(law, [run_of("ageing")])
+        problem = memory.MemoryProblem.build(law, [run_of("ageing")])
         task = memory.memory_task(law, problem, values)
         start = memory.warm_start(task, problem.start)
         model = task.predict(problem.windows(thinned=True), 1.0)
@@ -139,6 +139,20 @@ def test_two_formulas_move_as_the_published_law_that_they_are():
     assert np.max(np.abs(own - position)) < 1e-7
     size = np.sqrt(np.mean(by_unknowns**2, axis=0))
     assert np.all(np.sqrt(np.mean((own_by_unknowns - by_unknowns) ** 2, axis=0)) <= 1e-3 * size)
+
+
+def test_derivatives_of_two_formulas_are_those_of_the_motion():
+    """Of friction that lags behind slip: its state is a speed."""
+    problem = memory.MemoryProblem.build(LAG, [run_of("lugre")])
+    task = memory.memory_task(LAG, problem, {"Fc": 2.0, "Fs": 4.5, "v_s": 0.1, "tau": 0.01})
+    start = memory.warm_start(task, problem.start)
+    model = task.predict(problem.windows(thinned=True), 1.0)
+    found = model.all_derivatives(start.q, start.local).columns()
+    for j in range(start.q.size):
+        step = 1e-5 * max(1.0, abs(start.q[j])) * (np.arange(start.q.size) == j)
+        beside = [model.residual(start.q + sign * step, start.local) for sign in (1.0, -1.0)]
+        expected = (beside[0] - beside[1]) / (2 * step[j])
+        assert np.sqrt(np.mean((found[:, j] - expected) ** 2)) < 5e-3 * np.sqrt(np.mean(expected**2)), j
 
 
 def test_a_law_of_two_formulas_gives_its_parameters_from_positions():
