@@ -279,7 +279,7 @@ REFUSED = [
     ("daq import table.csv --postion x", "--position"),
     ("daq import table.csv --position y", "the columns are: t, x"),
     ("daq import force.csv", "--spring-force F --stiffness '168 N/m'"),
-    ("daq import pixels.csv", "--x-unit '0.25 mm' (a pixel)"),
+    ("daq import pixels.csv", "--x-unit='0.25 mm' (a pixel)"),
     ("daq import table.csv -o table2.csv", "daq export"),
     ("daq import table.csv -o run.h5", "--force to replace it"),
     ("daq import table -o table --force", "table", "is also an input"),

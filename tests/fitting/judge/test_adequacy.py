@@ -5,8 +5,8 @@ import pytest
 
 import daq
 from fitting import job, rank
+from fitting.judge import breaks
 from fitting.judge.adequacy import NOT_OF_SPEED
-from fitting.words import answer
 from processing.record.motion import Finding
 from processing.smoothing import smooth
 
@@ -43,7 +43,7 @@ def test_a_spring_that_hardens_is_no_function_of_speed(belt_rig, tmp_path):
 def test_a_mass_that_grazes_the_belt_has_no_break_aways(smoothed, monkeypatch):
     """Constant friction has no break-away from rest: all 9 records of laws 1 and 2 were said to age by 4 to 9 %."""
     other = Finding("break-away", "", 1.08, 1.0, 9.0)
-    monkeypatch.setattr(answer, "find_other_break_away", lambda *_: [other])
+    monkeypatch.setattr(breaks, "find_other_break_away", lambda *_: [other])
     assert other not in rank(smoothed(law=2, duration=8.0), laws=(2,)).findings
     assert other in rank(smoothed(law=5, duration=8.0), laws=(5,)).findings
 
