@@ -161,7 +161,7 @@ class Law:
         if not NAME.fullmatch(self.name) and (self.name, self.formula, self.ramp) not in OF_SIX:
             raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
         if self.rate and self.ramp:
-            raise InputError(f"law {self.name} has memory, and no ramp", "--ramp", "omit it")
+            raise InputError(f"law {self.name} has memory and cannot have a ramp", "--ramp", "omit --ramp")
         if self.own_memory:
             self._check_memory()
         known = self.parameters

@@ -20,10 +20,13 @@ class ImportOptions(RigFlags):
     x_unit: Annotated[
         str | None,
         Parameter(
-            help="Unit of positions, such as cm or '0.25 mm' (per pixel); by default that of the header, otherwise m."
+            help="Unit of positions, such as cm or '0.25 mm' (per pixel); by default that of the header, or m if it "
+            "has none."
         ),
     ] = None
-    t_unit: Annotated[str | None, Parameter(help="Unit of times; by default that of the header, otherwise s.")] = None
+    t_unit: Annotated[
+        str | None, Parameter(help="Unit of times; by default that of the header, or s if it has none.")
+    ] = None
     spring_force: Annotated[
         str | None,
         Parameter(
@@ -34,7 +37,7 @@ class ImportOptions(RigFlags):
     force_unit: Annotated[
         str | None,
         Parameter(
-            help="Unit of --spring-force; by default that of the header, otherwise N. Use 'weight' for a force "
+            help="Unit of --spring-force; by default that of the header, or N if it has none. Use 'weight' for a force "
             "divided by the weight of the slider; without --mass, positions are then in units of weight / "
             "stiffness."
         ),
@@ -80,7 +83,8 @@ class ProbeOptions:
     """The probes of a capture and what decodes them; None where not given."""
 
     channels: Annotated[
-        str | None, Parameter(help="Probes of the quadrature pair, A=NAME,B=NAME, by name or by index from 0.")
+        str | None,
+        Parameter(help="Probes of the quadrature pair as A=NAME,B=NAME, where NAME is a name or an index from 0."),
     ] = None
     step: Annotated[str | None, Parameter(help="Probe of the step pulses, by name or by index from 0.")] = None
     direction: Annotated[

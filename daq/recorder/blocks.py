@@ -324,7 +324,7 @@ class _Taking:
             do = "use the times of one clock, in s, that continue from block to block"
             raise InputError(f"{what}: {time[sample]:.9g} s after {before:.9g} s", WHERE, do)
         if len(time) and time[-1] - (self._first_s if self.taken else time[0]) > LONGEST_S:
-            raise InputError(f"its times reach {time[-1]:.3g} s", WHERE, "use times in s")
+            raise InputError(f"its times reach {time[-1]:.3g} s", WHERE, "give times in s, not in ms or us")
 
     def _check_rate(self, time: Array) -> None:
         if self._steps is None:

@@ -21,7 +21,7 @@ class NoteFlags:
     title: Annotated[str | None, Parameter(help="Title of the run.")] = None
     operator: Annotated[str | None, Parameter(help="Who recorded.")] = None
     sample: Annotated[str | None, Parameter(help="Description of the contact or the specimen.")] = None
-    note: Annotated[str | None, Parameter(help="Remarks in any form.")] = None
+    note: Annotated[str | None, Parameter(help="Free-text remarks.")] = None
     tag: Annotated[
         list[str] | None,
         Parameter(negative=(), consume_multiple=False, help="Named value, NAME=VALUE; repeatable."),

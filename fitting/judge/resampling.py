@@ -56,7 +56,7 @@ def bootstrap(fit: Fit, motion: MeasuredMotion, n: int, seed: int | None) -> dic
             draws.append(independent.at(solution.u, unconstrained) * scale**independent.lengths)
     if len(draws) < FEWEST_FITTED * n:
         message = f"{n - len(draws)} of {n} bootstrap samples could not be fitted"
-        raise DataError(message, "bootstrap", "use the covariance, or record more cycles")
+        raise DataError(message, "bootstrap", "use the standard errors of the covariance, or record more cycles")
     return dict(zip(independent.names, np.array(draws).T, strict=True))
 
 

@@ -98,7 +98,7 @@ def read_rows(file: IO[bytes], path: Path, header: bytes) -> tuple[list[dict[str
     for number, line in enumerate(complete.split(b"\n") if newline else [], 2):
         row = parse_line(line)
         if row is None:
-            raise InputError(f"line {number} is damaged", str(path), "remove that line; its row is then computed again")
+            raise InputError(f"line {number} is damaged", str(path), "remove that line, and its row is computed again")
         rows.append(row)
     return rows, len(first) + len(complete) + len(newline)
 

@@ -80,7 +80,7 @@ def test_a_rate_that_is_none_is_refused(spec, said):
 
 @pytest.mark.parametrize("law", [MEMORY["lugre"], read_law("mine: F0 + b*z; z' = 1 - s*z/D")])
 def test_a_law_with_memory_has_no_ramp(law):
-    with pytest.raises(InputError, match=f"^ramp: law {law.name} has memory, and no ramp"):
+    with pytest.raises(InputError, match=f"^ramp: law {law.name} has memory and cannot have a ramp"):
         law.behind_ramp()
 
 

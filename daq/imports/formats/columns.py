@@ -54,7 +54,7 @@ def parse_isolated(work: Work, path: Path, seconds: float, memory: int, kind: st
     try:
         return run_isolated(work, path, seconds, memory + 3 * min(size, MOST_BYTES))
     except BrokenOffError as error:
-        raise InputError(f"is not a readable {kind}: it {error}", str(path), do) from error
+        raise InputError(f"cannot be read as a {kind}: it {error}", str(path), do) from error
 
 
 def pack_columns(parser: Callable[[Source], tuple[str, list[Column]]], path: Path, kind: str, do: str) -> bytes:
