@@ -11,8 +11,8 @@ import sys
 import numpy as np
 
 from fitting.least_squares import elimination
-from fitting.model.path import KERNELS, Curve, FrictionSpline, follow, positions
-from fitting.model.tangents import integrate
+from fitting.model.path import Curve, FrictionSpline, Path, follow, positions
+from fitting.model.tangents import tangents
 from fitting.model.unknowns import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array
@@ -49,10 +49,32 @@ def compile_motion() -> None:
 
 
 def compile_derivatives() -> None:
-    """Compile what integrates the derivatives of a motion, along a path without windows."""
-    number, line, table = np.zeros(1, int), np.zeros(1), np.zeros((6, 1))
-    rows, effects = np.zeros((0, 6), int), (table, table, number, *[table] * 5)
-    compiled(integrate, KERNELS, _nrt=False)(number, rows, line, rows, table, number, line, line, line, *effects)
+    """Compile what integrates the derivatives of a motion, along a path without steps."""
+    windows, run, local = _imagined()
+    begin, point = np.zeros(windows.table.shape[0] + 1, int), np.zeros(1)
+    path = Path(
+        windows=windows,
+        curve=Curve(1, ramp=False),
+        u=run,
+        local=local,
+        time=point,
+        position=point,
+        velocity=point,
+        belt_speed=point,
+        level=point,
+        friction=point,
+        friction_slope=point,
+        slip_speed=point,
+        damping=point,
+        mode=np.zeros(1, int),
+        landed=np.zeros(1, bool),
+        first_point=begin,
+        first_step=begin,
+        steps=np.zeros((0, 3), int),
+        jumps=np.zeros((0, 3)),
+        reached=np.zeros(windows.time.size, int),
+    )
+    tangents(path, np.zeros((1, 1)))
 
 
 def _imagined() -> tuple[ShootingWindows, Array, Array]:

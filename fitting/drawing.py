@@ -33,7 +33,7 @@ ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 COLUMNS = 95  # of a line of the title
 MOST_POINTS = 12_000
 BAND_ALPHA = 0.05  # significance of the band of a law with memory
-USUAL = 99.5  # percentile of points within the axes
+USUAL = 99.5  # percentile of the force balance up to which it is drawn
 
 Shown = Sequence[tuple[Fit, str, dict[str, Any]]]  # laws, best first, each with its name and line style
 

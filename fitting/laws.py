@@ -51,7 +51,7 @@ OF_SIX = [(str(kind.number), FORMULAS[kind.curve], bool(kind.ramp)) for kind in 
 SPEED_WORDS = re.compile(r"[svuwx]|[vu]_?(rel|r|slip)|speed|vel\w*|slip\w*|[sx]_?dot", re.IGNORECASE)  # meant as s
 DEPENDENT_BELOW = 1e-8  # relative size of a derivative beside others, or of a singular value; independent ones: > 1e-6
 RATE = re.compile(rf"\s*{STATE}\s*'\s*=")
-DRAWS = 3  # sets of parameters at which a formula is examined: one would let a chance zero decide
+UNIT_DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
 Bound = tuple[float | None, float | None]
 Chance = np.random.Generator
 
@@ -73,14 +73,6 @@ def check_values(given: Any, kind: str) -> Mapping[str, Any]:
         if not all(isinstance(part, str) or _is_number(part, finite=not pair) for part in parts):
             raise InputError(f"the value of {name} is {value!r:.40}", kind, "use a finite number, or text with a unit")
     return given
-
-
-def check_order(bounds: Mapping[str, Bound], where: str) -> None:
-    """Raise InputError for a lower bound that is not below the upper one."""
-    for name, (low, high) in bounds.items():
-        if low is not None and high is not None and not low < high:
-            what = f"the lower bound of {name}, {low:g}, is not below the upper one, {high:g}"
-            raise InputError(what, where, "write the lower bound first")
 
 
 def _is_number(value: Any, *, finite: bool) -> bool:
@@ -178,7 +170,13 @@ class Law:
             if values:
                 numbers = {name: in_unit(value, self.unit(name), name, kind) for name, value in values.items()}
                 object.__setattr__(self, kind, numbers)
-        check_order(self.bounds or {}, "bounds")
+        for name, (low, high) in (self.bounds or {}).items():
+            if low is not None and high is not None and not low < high:
+                raise InputError(
+                    f"the lower bound of {name}, {low:g}, is not below the upper one, {high:g}",
+                    "bounds",
+                    "write the lower bound first",
+                )
         for kind in ("start", "fix"):
             for name, value in (getattr(self, kind) or {}).items():
                 low, high = self.limits(name)
@@ -278,7 +276,7 @@ class Law:
         rng = np.random.default_rng(len(self.formula))
         names = (*self.parameters, STATE) if self.rate else self.parameters
         rows, targets = [], []
-        for _ in range(DRAWS):
+        for _ in range(UNIT_DRAWS):
             values: dict[str, Any] = {name: float(rng.uniform(0.5, 2.0)) for name in names}
             s = rng.uniform(0.1, 2.0, 4 * len(names))
             if self.rate:
@@ -466,6 +464,7 @@ def read_law(spec: str, where: str = "--law") -> Law:
     return NAMED.get(name) or Law(name, formula, rate=rate)
 
 
+DRAWS = 4  # sets of values at which parameters have to be dependent
 LEAST_PART = 0.1  # part of a direction over its largest: less is rounding
 
 
@@ -603,9 +602,15 @@ class Competitors:
         for flag, kind in (("--fix", "fix"), ("--bound", "bounds"), ("--start", "start")):
             object.__setattr__(self, kind, self._in_numbers(getattr(self, kind), flag, newtons))
         object.__setattr__(self, "in_newtons", tuple(sorted(newtons)))
-        check_order(self.bounds, "--bound")
-        for name in self.bounds.keys() & self.fix.keys():
-            raise InputError(f"{name} has both a fixed value and bounds", "--bound", "state only one of the two")
+        for name, (low, high) in self.bounds.items():
+            if low is not None and high is not None and not low < high:
+                raise InputError(
+                    f"the lower bound of {name}, {low:g}, is not below the upper one, {high:g}",
+                    "--bound",
+                    "write the lower bound first",
+                )
+            if name in self.fix:
+                raise InputError(f"{name} has both a fixed value and bounds", "--bound", "state only one of the two")
         for law in self.laws:
             if not law.number:
                 law.refuse_without_speed()

@@ -77,7 +77,10 @@ class Adequacy:
         return {
             "verdict": self.verdict,
             "noise_m": self.noise_m,
-            **{name: goodness and getattr(goodness, name) for name in ("misfit", "lag1", "repeat", "p_value")},
+            "misfit": goodness and goodness.misfit,
+            "lag1": goodness and goodness.lag1,
+            "repeat": goodness and goodness.repeat,
+            "p_value": goodness and goodness.p_value,
             "smallest_visible": self.smallest_visible,
             "departures": [departure.as_json() for departure in self.departures],
             "curve": None if self.curve is None else curve_as_json(self.curve, self.unit),
@@ -87,8 +90,15 @@ class Adequacy:
 def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
     k_over_m = curve.k_over_m.as_json()
     del k_over_m["unit"]
-    columns = {name: getattr(curve, name).tolist() for name in ("speed", "friction", "lo", "hi")}
-    return columns | {"unit": unit, "k_over_m": k_over_m, "chi": curve.chi}
+    return {
+        "speed": curve.speed.tolist(),
+        "friction": curve.friction.tolist(),
+        "lo": curve.lo.tolist(),
+        "hi": curve.hi.tolist(),
+        "unit": unit,
+        "k_over_m": k_over_m,
+        "chi": curve.chi,
+    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 A free spline is fitted to the measured positions of every window. The unknowns are the shared parameters of a law
 except its level and shape, the coordinates of the spline, and six unknowns of each cycle. The search starts from a
-law's fit.
+law's fit and from the regression of the smoothed slips.
 
 The motion determines K datum + friction. Without a calibrated datum only effects proportional to friction separate the
 two: levels that scatter or wear, a ramp's creep, a belt that slows under load. Without these, curve and datum are
@@ -18,27 +18,26 @@ Not modelled: friction that depends on anything but relative speed and its level
 """
 
 import math
-from collections.abc import Callable, Sequence
+import time as clock
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from scipy import special
 
 from fitting import noise_levels
 from fitting.judge.linearised import LinearisedFit
-from fitting.judge.parameters import DERIVATIVE_STEP, STATED_ERROR, Parameter
+from fitting.judge.parameters import STATED_ERROR, Parameter
 from fitting.least_squares import elimination
-from fitting.least_squares.normal_equations import Block, Derivatives, eigen
-from fitting.model.curves import FreeCurve
+from fitting.least_squares.normal_equations import eigen
 from fitting.model.path import Curve, FrictionSpline
-from fitting.model.predict import FitStart, Task, curve_knots, free_curve_task
+from fitting.model.predict import FitStart, Task, curve_knots, free_curve, free_curve_task, regress_curve
 from fitting.model.problem import EstimationProblem, rest_calibration
 from fitting.model.unknowns import PER_RUN, Global, PerCycle
 from fitting.search.exchange import settle_from_starts
 from fitting.search.fit import Fit
 from fitting.search.formula import Target
-from fitting.search.passes import finish
+from fitting.search.passes import finish, start_from_regression
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 from stickslip.units import Measured
@@ -68,6 +67,7 @@ class MeasuredCurve:
     linear: LinearisedFit = field(repr=False)  # the curve's coordinates are the last unknowns
     noise: Array = field(repr=False)  # (runs,) standard deviation of a position, m
     confidence: float
+    cpu_s: float
 
     @property
     def level_assumed(self) -> bool:
@@ -85,6 +85,7 @@ class MeasuredCurve:
 CURVE_REST_SD = 3.0
 # Variance of the levels over that from noise, above which they scatter, and so separate datum and friction.
 SCATTER_SHOWN = 4.0
+HIDDEN_STEP = 1e-3  # relative step of friction at rest in the derivative by a hidden move, which is linear
 NARROWEST_MOVED = 0.1  # width of a ramp after a move, over that before
 
 
@@ -135,7 +136,7 @@ def hidden_moves(places: Sequence[int], curve: Curve, u: Array) -> Array:
     """Return the moves of the unknowns at ``places`` (p,) that compensate a move of the first run's rest position."""
     if curve.spline is None:
         raise ValueError("this is a law's curve: its level is not free")
-    step = DERIVATIVE_STEP * curve.spline.coefficients[0] / u[Global.K]
+    step = HIDDEN_STEP * curve.spline.coefficients[0] / u[Global.K]
     moved, _ = move_rest(u, curve.spline.coefficients, Measured(u[Global.DATUM] + step, 0.0), ramp=curve.ramp)
     moves = (moved - u)[list(places)] / step
     moves[list(places).index(Global.DATUM)] = 0.0
@@ -152,19 +153,13 @@ def linearise_spline_fit(fit: Fit) -> LinearisedFit:
     datum, moves = fit.places.index(Global.DATUM), hidden_moves(fit.places, curve, fit.u)
     precision = linear.priors.precision.copy()
     precision[datum, datum] = 1 / rest.sd**2
-    derive = partial(_derive_moved, linear.derivatives.derive, datum, moves)
-    priors = linear.priors._replace(precision=precision)
-    derivatives = Derivatives(linear.derivatives.blocks, derive)
-    return LinearisedFit.of(derivatives, linear.residual, linear.rows, linear.weights, priors)
 
-
-def _derive_moved(derive: Callable[[Block], Array | None], datum: int, moves: Array, block: Block) -> Array | None:
-    """Return the derivatives of a block, that by the rest position with the moves that hide it."""
-    jacobian = derive(block)
-    if jacobian is not None:
+    def move(jacobian: Array) -> Array:
         jacobian = jacobian.copy()
         jacobian[:, datum] = -np.einsum("ij,j->i", jacobian[:, : moves.size], moves)
-    return jacobian
+        return jacobian
+
+    return linear.transform(move, linear.priors._replace(precision=precision))
 
 
 def chi(fit: Fit, noise: Array) -> float:
@@ -193,7 +188,8 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> Fit | None:
     if from_law is None:
         return None
     task, law_end = from_law
-    settled = settle_from_starts(task, [(law_end, fit.noise.without_fade)], noise)
+    starts = [(law_end, fit.noise.without_fade), *((start, None) for start in _start_from_regression(task))]
+    settled = settle_from_starts(task, starts, noise)
     finished = None if settled is None else finish(settled, noise) or settled
     return finished if finished is not None and finished.can_be_followed else None
 
@@ -214,7 +210,30 @@ def _start_from_law(fit: Fit, rest: Measured | None) -> tuple[Task, FitStart] | 
         local[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 0.0
     task = free_curve_task(problem, knots, u, coefficients)
     index = list(task.places)
-    return task, FitStart(np.concatenate([u[index], task.curve.start]), local)
+    return task, FitStart(np.concatenate([u[index], task.curve.start]), _replace_fast_starts(fit, local))
+
+
+def _start_from_regression(task: Task) -> list[FitStart]:
+    """Return the start from the smoothed slips, or none if their regression is not physical."""
+    problem, curve = task.problem, free_curve(task)
+    d = float(problem.start[Global.D]) if curve.ramp else 0.0
+    regression = regress_curve(problem.runs, problem.start, curve.spline.knots, d)
+    if regression is None:
+        return []
+    task_start, start = start_from_regression(task), problem.start.copy()
+    start[Global.K :: PER_RUN] = regression[0]
+    shared = start[list(task.places)]
+    return [task_start._replace(q=curve.basis.unknowns(shared, regression[1]))]
+
+
+def _replace_fast_starts(fit: Fit, local: Array) -> Array:
+    """Replace starts faster than the belt by those of the smoothed motion."""
+    if fit.law.ramp:
+        return local
+    smoothed = fit.windows.starting_values(fit.problem.motions)
+    too_fast = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]
+    local[too_fast, : PerCycle.LEVEL] = smoothed[too_fast, : PerCycle.LEVEL]
+    return local
 
 
 def _spline_problem(fit: Fit, rest: Measured | None) -> EstimationProblem:
@@ -261,9 +280,7 @@ def band_speeds(fit: Fit) -> Array:
 
 def curve_columns(fit: Fit, s: Array) -> Array:
     """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns."""
-    if not isinstance(fit.task.curve, FreeCurve):
-        raise TypeError("not the fit of a free curve")
-    columns = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), fit.task.curve.basis.slopes))
+    columns = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), free_curve(fit.task).basis.slopes))
     if Global.D in fit.places and fit.problem.ramp:
         h = 1e-4 * fit.spline.knots[-1]
         columns[:, fit.places.index(Global.D)] = -(fit.spline(s + h) - fit.spline(s - h)) / (2 * h)
@@ -297,6 +314,7 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
     ``noise`` (runs,) is in m. The ramp is tried first if it is preferred and fits nearly to the noise. The other
     contact is tried if the first does not fit to the noise and the laws prefer a ramp, or if the search stalled.
     """
+    begun = clock.process_time()
     ordered, prefers_ramp = _order_contacts(fits, noise)
     best: tuple[Fit, float] | None = None
     for fit in ordered:
@@ -308,7 +326,7 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
             best[1] < noise_levels.DESCRIBES or not (prefers_ramp or best[0].outcome == "no progress")
         ):
             break
-    return None if best is None else _summarise(*best, noise, alpha)
+    return None if best is None else _summarise(*best, noise, alpha, begun)
 
 
 def _order_contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
@@ -323,7 +341,7 @@ def _order_contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]
     return [ramp, jump] if prefers_ramp and ramp_near_noise else [jump, ramp], prefers_ramp
 
 
-def _summarise(fit: Fit, misfit: float, noise: Array, alpha: float) -> MeasuredCurve:
+def _summarise(fit: Fit, misfit: float, noise: Array, alpha: float, begun: float) -> MeasuredCurve:
     linear = linearise_spline_fit(fit)
     by_noise_and_scatter = covariances(linear)
     speeds = band_speeds(fit)
@@ -347,6 +365,7 @@ def _summarise(fit: Fit, misfit: float, noise: Array, alpha: float) -> MeasuredC
         linear=linear,
         noise=noise,
         confidence=1 - alpha,
+        cpu_s=clock.process_time() - begun,
     )
 
 

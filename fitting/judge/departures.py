@@ -32,6 +32,7 @@ from fitting.model.forces import Departure, FittedMotion, Force, Forcing
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.problem import rest_calibration
+from fitting.model.tangents import tangents
 from fitting.record.motion import MeasuredMotion
 from fitting.search.exchange import FAR_BEYOND_BEST, NEAR_BEST
 from fitting.search.fit import Fit
@@ -106,8 +107,15 @@ class Base:
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
         """Return the response (N, all columns) of the positions to forcings of one kind."""
-        columns = (None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True))
-        return Forcing(*columns).respond(self.path)
+        acceleration, belt_speed, reading = (
+            None if parts[0] is None else np.hstack(parts) for parts in zip(*forcings, strict=True)
+        )
+        if acceleration is None and belt_speed is None and reading is not None:
+            return reading
+        columns = acceleration if belt_speed is None else np.zeros_like(belt_speed)
+        if columns is None:
+            raise ValueError("a forcing without any effect")
+        return tangents(self.path, columns, belt_speed=belt_speed, position=reading)
 
     def misfit_beyond_noise(self, noise: float) -> float:
         """Return the cost of the residuals above that of the noise, m."""
@@ -137,7 +145,9 @@ def log_probability(coefficients: Array, covariance: Array, cycles: int) -> floa
 def sigmas(log_p: float, trials: float = 1.0) -> float:
     """Return the significance, in standard deviations, of a two-sided tail exp(log_p) after this number of trials."""
     log_tail = min(log_p + math.log(max(trials, 1.0)), 0.0) - math.log(2)
-    return max(-float(special.ndtri_exp(log_tail)), 0.0)
+    if log_tail > -700:
+        return max(-float(special.ndtri(math.exp(log_tail))), 0.0)
+    return math.sqrt(-2 * log_tail - math.log(-2 * log_tail * 2 * math.pi))
 
 
 def solve(matrix: Array, right: Array) -> Array:
@@ -147,8 +157,11 @@ def solve(matrix: Array, right: Array) -> Array:
     return np.asarray(scale * np.linalg.solve(scaled, (scale * right)[..., np.newaxis])[..., 0])
 
 
+LEAST_COST_SHARE = 0.01  # smallest gain over the cost: patterns of rounded counts give 0.4 %
 LEAST_GAIN = 12.0  # smallest gain of a reported departure; on a true law gains reach 6
 SCALES_AT_ONCE = 16  # scales in one computation of curvatures, of which only those within a scale are used
+# Scales tried near the best one of a scan, in steps of the scan.
+STEPS_BESIDE_BEST = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +183,7 @@ def rank_candidates(bases: Sequence[Base], noise: float) -> list[Candidate]:
 
 def find_candidates(base: Base, noise: float) -> list[Candidate]:
     """Return the departures that lower the cost by more than noise; a drag must dissipate energy."""
-    thin, least_gain = base.thinned(), LEAST_GAIN
+    thin, least_gain = base.thinned(), max(LEAST_GAIN, LEAST_COST_SHARE * base.linear.cost)
     misfit = base.misfit_beyond_noise(noise)
     candidates = []
     for departure in DEPARTURES:
@@ -192,7 +205,12 @@ def find_best_scale(base: Base, departure: Departure) -> float | None:
         return None
     if scales.size == 1:
         return float(scales[0])
-    return float(scales[np.argmax(linear_steps(base, departure, scales)[1])])
+    gain = linear_steps(base, departure, scales)[1]
+    top = int(np.argmax(gain))
+    gaps = np.abs(np.diff(np.log(scales)))
+    gap = float(np.min(gaps[max(top - 1, 0) : top + 1]))
+    nearby = scales[top] * np.exp(np.array(STEPS_BESIDE_BEST) * gap)
+    return float(nearby[np.argmax(linear_steps(base, departure, nearby)[1])])
 
 
 def linear_steps(base: Base, departure: Departure, scales: Array) -> tuple[Array, Array]:

@@ -55,6 +55,13 @@ SAME_SCORE = 1  # decimals of a score: the scores of one curve in two forms agre
 
 
 @dataclass(frozen=True, eq=False)
+class Evidence:
+    laws: tuple[Law, ...]
+    penalised_errors: Array  # (laws, units) log error of each unit, penalty included
+    samples: float = 0.0  # effective samples, at least one a unit
+
+
+@dataclass(frozen=True, eq=False)
 class Units:
     """The units of the comparison, the same for every law."""
 
@@ -181,20 +188,18 @@ class ModelSet:
     behind: dict[Law, tuple[float, float]]  # mean paired difference of log error to the best law, and its error
 
 
-def model_confidence_set(
-    errors: Mapping[Law, Array], alpha: float, among: Collection[Law] | None = None, samples: float = 0.0
-) -> ModelSet:
-    """Apply the set rule to log errors (units,), penalties included, of two units or more.
-
-    Only the laws ``among``, which describe the record, have weight; ``samples`` are the effective ones.
-    """
-    competing = [law for law in errors if among is None or law in among]
-    mean = {law: float(own.mean()) for law, own in errors.items()}
-    first = min(competing, key=mean.__getitem__)
-    n = errors[first].size
+def model_confidence_set(evidence: Evidence, alpha: float, among: Collection[Law] | None = None) -> ModelSet:
+    """Apply the set rule to two units or more; only the laws ``among``, which describe the record, have weight."""
+    laws, errors = evidence.laws, evidence.penalised_errors
+    competing_rows = [k for k, law in enumerate(laws) if among is None or law in among]
+    n = errors.shape[1]
+    mean = errors.mean(axis=1)
+    winner = min(competing_rows, key=lambda k: float(mean[k]))
     quantile = float(special.stdtrit(n - 1, 1 - alpha / 2))
-    score = {law: 2 * max(n, samples) * (mean[law] - mean[first]) for law in errors}
-    behind = {law: _mean_difference(own, errors[first]) for law, own in errors.items()}
+    samples = max(n, evidence.samples)
+    score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
+    behind = {law: _mean_difference(errors[i], errors[winner]) for i, law in enumerate(laws)}
+    first, competing = laws[winner], [laws[k] for k in competing_rows]
     tied = {
         law
         for law in competing
@@ -206,7 +211,7 @@ def model_confidence_set(
     preferred = [law for law in members if first.contains(law)]
     members = [*preferred[:1], *(law for law in members if law not in preferred[:1])]
     total = sum(math.exp(-score[law] / 2) for law in competing)
-    weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in errors}
+    weight = {law: math.exp(-score[law] / 2) / total if law in competing else 0.0 for law in laws}
     return ModelSet(tuple(members), score, weight, behind)
 
 

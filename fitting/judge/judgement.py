@@ -8,7 +8,7 @@ import numpy as np
 from fitting.judge import evidence
 from fitting.judge.adequacy import LawJudgement, judge_near_laws
 from fitting.judge.curve import MeasuredCurve
-from fitting.judge.evidence import ModelSet, Units
+from fitting.judge.evidence import Evidence, ModelSet, Units
 from fitting.laws import Law
 from fitting.model.problem import Run
 from fitting.search.fit import Fit, Unfitted
@@ -101,7 +101,8 @@ def compete(
         order = sorted(by_law.values(), key=lambda fit: misfit[fit.law])
         judgements = judge_near_laws(order[:1], motions, largest, judgements) | judgements
         return Competition(tuple(order), judgements, ModelSet((), {}, {}, {}), misfit)
-    chosen = evidence.model_confidence_set(penalised, alpha, describing_laws, units.samples)
+    table = Evidence(tuple(penalised), np.array(list(penalised.values())), units.samples)
+    chosen = evidence.model_confidence_set(table, alpha, describing_laws)
     fitting = {law: by_law[law] for law in describing_laws}
     chosen = evidence.add_indistinct_contacts(chosen, fitting, errors, runs, alpha, sustained=sustained)
     outside = sorted(describing_laws.difference(chosen.members), key=chosen.score.__getitem__)

@@ -72,6 +72,10 @@ class LinearisedFit:
         except UnfollowableError:
             return None
 
+    def transform(self, change: Callable[[Array], Array], priors: Priors) -> "LinearisedFit":
+        """Change the derivatives (n, p + q) of each block."""
+        return self.of(self.derivatives.transform(change), self.residual, self.rows, self.weights, priors)
+
     @cached_property
     def first(self) -> Integers:
         """First residual of each cycle, and their number, shape (cycles + 1,)."""

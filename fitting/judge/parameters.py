@@ -146,12 +146,6 @@ class Correlations:
     def as_json(self) -> dict[str, Any]:
         return {"parameters": list(self.names), "matrix": self.matrix.tolist()}
 
-    def strongest(self, least: float) -> list[tuple[str, str, float]]:
-        """Return pairs of names with a correlation of at least this size, the strongest first."""
-        pairs = [(i, j) for i, j in combinations(range(len(self.names)), 2) if abs(self.matrix[i, j]) >= least]
-        pairs.sort(key=lambda pair: -abs(self.matrix[pair]))
-        return [(self.names[i], self.names[j], float(self.matrix[i, j])) for i, j in pairs]
-
 
 @dataclass(frozen=True)
 class BreakAway:
@@ -388,8 +382,7 @@ def friction_band(fit: Fit, motion: MeasuredMotion, speed: Array, alpha: float) 
 
     slopes = differences(friction_of, constraints.q, constraints.steps)
     variance = np.einsum("ni,sij,nj->sn", slopes, constraints.covariances, slopes).max(axis=0)
-    longer, shorter = (friction_of(constraints.q, 1 + side * DERIVATIVE_STEP) for side in (1, -1))
-    by_length = (longer - shorter) / (2 * DERIVATIVE_STEP)
+    by_length = (friction_of(constraints.q, 1 + 1e-6) - friction_of(constraints.q, 1 - 1e-6)) / 2e-6
     scale = motion.mass or motion.stiffness
     of_scale = 0.0 if scale is None else scale.sd / scale.value * friction_of(constraints.q)
     quantile = float(special.stdtrit(max(len(fit.rows) - 1, 1), 1 - alpha / 2))

@@ -17,13 +17,14 @@ import numpy as np
 
 from fitting.judge.parameters import Parameter, covariances, independent_parameters, unknown_of
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.levenberg_marquardt import LATER_DAMPING, Solution
+from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.normal_equations import LeastSquaresProblem
 from fitting.record.motion import MeasuredMotion
 from fitting.search.fit import Fit
 from stickslip.compute.arrays import Array
 from stickslip.errors import DataError, InputError, nearest
 
+FIRST_DAMPING = 1e-6  # damping over the curvatures; each fit starts near its minimum, which does not depend on it
 FEWEST_FITTED = 0.9  # share of draws that must be fitted: the outermost tenth is 44 % of a normal variance
 # Reach in standard errors on either side, and fits on each.
 PROFILE_REACH, PROFILE_STEPS = 3.0, 6
@@ -106,4 +107,4 @@ def _hold_unknown(problem: LeastSquaresProblem, index: int, value: float) -> Lea
 
 
 def _refit(problem: LeastSquaresProblem, u: Array, local: Array) -> Solution | None:
-    return levenberg_marquardt.minimise(problem, u, local, damping=LATER_DAMPING)
+    return levenberg_marquardt.minimise(problem, u, local, damping=FIRST_DAMPING)

@@ -28,7 +28,6 @@ from fitting.model.problem import Run
 from fitting.record.cycles import SUSTAINED_SHARE, Cycle, CycleSegmentation
 from fitting.record.motion import REST_SPEED, SLIP_SPEED, MeasuredMotion
 from fitting.search.fit import Fit
-from fitting.search.memory import SEARCHED_CYCLES
 from fitting.search.passes import first_pass, start_from_regression
 from processing.record.kinematics import Kinematics
 from processing.record.motion import Finding
@@ -41,6 +40,8 @@ PIECE_SAMPLES = (16, 32, 64, 128, 192, 256)  # of a piece: the shortest that giv
 TREND_DEGREE = 3  # degree of the polynomial taken off each piece
 NOISE_LAGS = 3  # samples over which noise may be correlated
 SHARE_ERROR = 0.005  # standard error of the share without lost frames: 5 % lost are ten errors
+# Share of lost frames, in standard errors, above which losses are possible, and certain; between, longer pieces decide.
+POSSIBLE_ERRORS, SURE_ERRORS = 3.0, 6.0
 LEAST_SHARE_LOST = 0.01  # smallest reported share: it changes parameters by less than 1 %
 ERRORS_BETWEEN_CYCLES = 2.5  # the same by the errors from the scatter between cycles, which the walk enlarges
 FEWEST_PIECES = 8
@@ -82,8 +83,10 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
         regression = _regress_share(squares, speeds, cycle, piece_modes(n), certain)
         if regression is not None:
             share, null = regression
-            least = max(LEAST_SHARE_LOST, noise_levels.SHOWN * null, ERRORS_BETWEEN_CYCLES * share.sd)
-            return share if share.value > least else None
+            if share.value > max(LEAST_SHARE_LOST, SURE_ERRORS * null, ERRORS_BETWEEN_CYCLES * share.sd):
+                return share
+            if share.value < POSSIBLE_ERRORS * null:
+                return None
     return None
 
 
@@ -153,6 +156,7 @@ EVEN_SLIP = 0.1  # change of velocity in the middle half of a slip, over its spe
 DIES_AWAY = 0.7  # largest speed in the last third over that in the first, of a motion that dies away
 WORST_ERROR = 0.02  # error over a slip's length: laws fit stick-slip to 0.004 or less, also in a rough fit
 LEAST_FRICTION = 1e-3  # friction over the spring's force in a slip, below which the mass does not stick
+SCREENED_CYCLES = 8  # cycles of the record, evenly spread
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which times are unreliable
 NONE_NEAR = "no law fits even roughly"
@@ -313,7 +317,7 @@ def reject_by_coarse_fits(laws: Sequence[Law], runs: Sequence[Run], *, sustained
 
 
 def _select_cycles(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
-    indices = np.unique(np.linspace(0, len(cycles) - 1, SEARCHED_CYCLES).round().astype(int))
+    indices = np.unique(np.linspace(0, len(cycles) - 1, SCREENED_CYCLES).round().astype(int))
     return tuple(cycles[index] for index in indices)
 
 

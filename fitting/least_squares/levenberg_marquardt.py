@@ -48,6 +48,7 @@ LEAST_CHANGE = 1e-12  # change over the cost, below which it is rounding
 FAILED_SHARE = 0.1  # share in the rise of the cost of a failed step, above which a cycle is fitted again
 # How failed cycles are fitted anew.
 CYCLE_REFIT: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": LATER_DAMPING}
+ROUNDED = 1e-13  # eigenvalue over the largest, below which a direction is rounding
 LARGEST_ACCELERATION = 0.75  # twice the acceleration over the step, above which the step is too long
 
 
@@ -284,6 +285,6 @@ def _solve(H: Array, target: Array) -> Array:
     scale = np.where(curved, 1 / np.sqrt(np.where(curved, curvature, 1.0)), 0.0)
     size, axes = eigen(H * scale[:, None] * scale)
     size = np.maximum(size, 0.0)
-    rounded = elimination.DEPENDENT * max(float(size.max()), 1.0)
+    rounded = ROUNDED * max(float(size.max()), 1.0)
     along = np.einsum("ij,i->j", axes, scale * target) * size / (size**2 + rounded**2)
     return np.asarray(scale * np.einsum("ij,j->i", axes, along))

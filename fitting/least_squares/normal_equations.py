@@ -7,7 +7,7 @@ The cycles' own unknowns are eliminated from these (Schur complement), in plain 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -64,6 +64,16 @@ class Derivatives:
 
     def columns(self, unknowns: slice = slice(None)) -> Array:
         return np.concatenate([jacobian[:, unknowns] for _, jacobian in self])
+
+    def transform(self, change: Callable[[Array], Array]) -> "Derivatives":
+        return Derivatives(self.blocks, partial(_change_part, self.derive, change))
+
+
+def _change_part(
+    derive: Callable[[Block], Array | None], change: Callable[[Array], Array], block: Block
+) -> Array | None:
+    jacobian = derive(block)
+    return None if jacobian is None else change(jacobian)
 
 
 class UnfollowableError(ArithmeticError):
@@ -128,7 +138,7 @@ def cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -
 
 
 HELD_CURVATURE = 1e12  # added to the curvature of an unknown that must not move, over it
-ROUNDING = elimination.LEAST_PIVOT  # curvature after elimination over that before, below which it is rounding
+ROUNDING = 1e-14  # curvature after elimination over that before, below which it is rounding
 
 
 @dataclass(frozen=True, eq=False)

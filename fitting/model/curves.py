@@ -99,6 +99,13 @@ class FrictionCurve(ABC):
         """Return the law's parameters by name, per unit mass; none of a free curve."""
         return {}
 
+    def is_ramp_of(self, other: "FrictionCurve") -> bool:
+        """Return whether this is the other curve with a ramp, so that the other is nested in it."""
+        return self.law is not None and other.law is not None and self.law.is_ramp_of(other.law)
+
+    def contains(self, other: "FrictionCurve") -> bool:
+        return self.law is not None and other.law is not None and self.law.contains(other.law)
+
 
 class LawCurve(FrictionCurve):
     """One of the six laws: its parameters are the shared unknowns LOG_F and SHAPE; theta is empty."""

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from fitting.model import unknowns
 from fitting.model.flow import Drag
 from fitting.model.path import NO_DRAG, Path
-from fitting.model.tangents import tangents
 from fitting.model.unknowns import PER_RUN
 from fitting.record.motion import MeasuredMotion
 from fitting.record.ripple import Ripple
@@ -93,6 +92,10 @@ class FittedMotion:
     def slip_s(self) -> float:
         return max(record.slip_s for record in self.records)
 
+    @property
+    def samples_per_slip(self) -> float:
+        return max(record.time.size / record.span * record.slip_s for record in self.records)
+
     @cached_property
     def rows_of_runs(self) -> tuple[Mask, ...]:
         return tuple(self.run == number for number in range(len(self.records)))
@@ -115,13 +118,6 @@ class Forcing(NamedTuple):
     acceleration: Array | None = None  # (M, k) force per unit mass at the stage points, m/s^2
     belt_speed: Array | None = None  # (M, k) change of the belt's speed there, m/s
     reading: Array | None = None  # (N, k) change of the position read at the samples, m
-
-    def respond(self, path: Path) -> Array:
-        """Return the response (N, k) of the positions along a path, m."""
-        if self.acceleration is None and self.belt_speed is None:
-            return np.asarray(self.reading)
-        acting = np.zeros_like(self.belt_speed) if self.acceleration is None else self.acceleration
-        return tangents(path, acting, belt_speed=self.belt_speed, position=self.reading)
 
 
 @dataclass(frozen=True)

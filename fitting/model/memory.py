@@ -21,14 +21,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fitting.laws import Law, hold_confounded, natural_size
-from fitting.least_squares.normal_equations import Block, Derivatives
+from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
 from fitting.model import memory_flow, unknowns
 from fitting.model.curves import FrictionCurve
 from fitting.model.flow import SEARCH_STEP
 from fitting.model.memory_flow import BRISTLES, P0, PER_WINDOW, RATE_AND_STATE, SHARED
 from fitting.model.path import Path
 from fitting.model.predict import FitStart, Model, Task
-from fitting.model.problem import EstimationProblem, choose_thinning, cycle_starts
+from fitting.model.problem import EstimationProblem, Run, choose_thinning, cycle_starts
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import EVERY_SAMPLE, ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
@@ -36,7 +36,7 @@ from fitting.record.motion import MeasuredMotion
 from rig_sim.friction import pair
 from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS, PAIR
 from rig_sim.integrate import memory
-from stickslip.compute.arrays import Array
+from stickslip.compute.arrays import Array, Integers
 from stickslip.compute.compile import compiled
 
 MEMORY_LENGTH = 2.0  # travels: the prior of a start, a tenth of the travel, is then 5 % of the memory
@@ -52,6 +52,10 @@ KERNELS = (*memory.MODULES, "rig_sim.flow.modes", memory_flow.__name__)
 
 class MemoryProblem(EstimationProblem):
     """The constants of the fit of a law with memory."""
+
+    @classmethod
+    def of_law(cls, law: Law, runs: Sequence[Run]) -> "MemoryProblem":
+        return cls(**vars(EstimationProblem.build(law, runs)))
 
     @property
     def cycles(self) -> tuple[Cycle, ...]:
@@ -102,9 +106,11 @@ def memory_windows(motion: MeasuredMotion, cut: CycleSegmentation, thinning: Thi
 class MemoryModel(Model):
     """The positions that a law with memory predicts."""
 
-    def _positions(self, q: Array, local: Array) -> Array | None:
-        found, _ = self._follow(self._parameters(q), local, self.windows)
-        return None if found is None else found[0]
+    def residual(self, q: Array, local: Array) -> Array | None:
+        if self._last is None or not (np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1])):
+            found, _ = self._follow(self._parameters(q), local, self.windows)
+            self._last = q.copy(), local.copy(), None if found is None else found[0] - self.windows.position
+        return self._last[2]
 
     def motion_in(self, windows: ShootingWindows, q: Array, local: Array, run: int | None) -> Array | None:
         p = self._parameters(q)
@@ -122,8 +128,19 @@ class MemoryModel(Model):
     def all_derivatives(self, q: Array, local: Array) -> Derivatives:
         return Derivatives(self.windows.blocks, partial(self._derive, q, local, self.task.places))
 
-    def own_derivatives(self, q: Array, local: Array) -> Derivatives:
-        return Derivatives(self.windows.blocks, partial(self._derive, q, local, None))
+    def evaluate_cycles(self, q: Array, cycles: Integers) -> Evaluate:
+        part = MemoryModel(self.task, self.windows.of_cycles(cycles), self.longest_step)
+        if self._size is not None:
+            part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
+
+        def evaluate(_: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
+            residual = part.residual(q, local)
+            if residual is None:
+                return None
+            found = Derivatives(part.windows.blocks, partial(part._derive, q, local, None)) if derivatives else None
+            return residual if part._size is None else residual * part._size, found
+
+        return evaluate
 
     def _derive(self, q: Array, local: Array, places: Sequence[int] | None, block: Block) -> Array | None:
         """Return the derivatives of a block by the cycles' own unknowns, unless None after those at ``places``."""
@@ -137,7 +154,7 @@ class MemoryModel(Model):
         if places is not None:
             parts = [self._by_places(derivatives, windows, places), self._by_theta(derivatives, q), *parts]
         found = np.hstack(parts)
-        return found if self.root_count is None else found * self.root_count[block.rows, None]
+        return found if self._size is None else found * self._size[block.rows, None]
 
     def _by_places(self, derivatives: Array, windows: ShootingWindows, places: Sequence[int]) -> Array:
         found = np.zeros((len(derivatives), len(places)))

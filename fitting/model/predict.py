@@ -1,5 +1,6 @@
 """Tasks (a law or a free curve to be fitted to runs), and the positions and derivatives that they predict."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,19 +9,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fitting.laws import Law
+from fitting.least_squares.elimination import least_squares
 from fitting.least_squares.normal_equations import Block, Derivatives, Evaluate
 from fitting.model import unknowns
 from fitting.model.curves import FreeCurve, FrictionCurve, LawCurve
 from fitting.model.forces import FittedMotion, Force, Forcing
-from fitting.model.path import Curve, Path, follow, positions
-from fitting.model.problem import EstimationProblem, Run
-from fitting.model.tangents import local_tangents
+from fitting.model.path import Curve, FrictionSpline, Path, follow, positions
+from fitting.model.problem import EstimationProblem, Run, break_away_position, slip_samples
+from fitting.model.tangents import local_tangents, tangents
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.model.windows import ShootingWindows
 from stickslip.compute.arrays import Array, Integers
 
 PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls
 FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
+# Weight of a second difference of a regressed curve's coefficients, over a slip sample's times the root of their count.
+SMOOTHNESS = 0.03
+LOW_SPEED = 0.06  # speed over the last knot's, below which smoothed slips constrain the curve poorly
 OF_THE_LAW = (Global.LOG_F, Global.SHAPE, Global.STATIC)  # slots that a free curve does not use
 
 
@@ -85,6 +90,13 @@ def law_task(law: Law, runs: Sequence[Run], forces: Sequence[Force] = ()) -> Tas
     return Task(problem, LawCurve(law), problem.active, tuple(forces)).without(Global.STATIC)
 
 
+def free_curve(task: Task) -> FreeCurve:
+    """Return the free curve of a task; TypeError for that of a law."""
+    if not isinstance(task.curve, FreeCurve):
+        raise TypeError("not the task of a free curve")
+    return task.curve
+
+
 def curve_knots(runs: Sequence[Run], d: float) -> Array:
     """Return the knots of a free curve, m/s: from 0 to the fastest slip beyond a ramp of half-width d."""
     fastest = 0.0
@@ -94,6 +106,24 @@ def curve_knots(runs: Sequence[Run], d: float) -> Array:
             if speed.size:
                 fastest = max(fastest, float(np.quantile(speed, FASTEST)))
     return np.asarray((fastest - d) * np.linspace(0.0, 1.0, PIECES + 1) ** KNOT_POWER)
+
+
+def regress(
+    runs: Sequence[Run], rest: float, columns: Callable[[Array], Array], prior_rows: Array | None = None
+) -> tuple[Array, float]:
+    """Regress the smoothed slips, acceleration = -K (x - rest) + columns(s) c; return K with c, and the squared error.
+
+    ``prior_rows`` (r, n) are rows of c with prior 0.
+    """
+    samples = [slip_samples(run.motion, run.cut) for run in runs]
+    x, s, a = (np.concatenate([getattr(slips, name) for slips in samples]) for name in ("x", "s", "a"))
+    matrix, target = np.c_[rest - x, columns(s)], a
+    if prior_rows is not None:
+        weight = math.sqrt(float(np.mean(matrix[:, 1:] ** 2)) * a.size)
+        rows = np.c_[np.zeros(prior_rows.shape[0]), weight * prior_rows]
+        matrix, target = np.r_[matrix, rows], np.r_[a, np.zeros(prior_rows.shape[0])]
+    solution, residual = least_squares(matrix, target)
+    return solution, float(np.sum(residual**2))
 
 
 def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coefficients: Array) -> Task:
@@ -108,6 +138,27 @@ def free_curve_task(problem: EstimationProblem, knots: Array, u: Array, coeffici
     return Task(replace(problem, start=start), curve, places)
 
 
+def regress_curve(runs: Sequence[Run], start: Array, knots: Array, d: float) -> tuple[float, Array] | None:
+    """Return K and the coefficients of a free curve from regression of the smoothed slips; None if not physical.
+
+    At low speed, where slips constrain the curve poorly, it begins with the load at the break-aways.
+    """
+    spline = FrictionSpline.over(knots)
+    prior_rows = SMOOTHNESS * np.diff(np.eye(spline.coefficients.size), 2, axis=0)
+    solution, _ = regress(runs, start[Global.DATUM], lambda s: spline.basis(np.clip(s - d, 0, knots[-1])), prior_rows)
+    K, coefficients = float(solution[0]), solution[1:].copy()
+    if not (K > 0 and np.median(coefficients) > 0):
+        return None
+    if d == 0.0:
+        loads = [
+            K * (break_away_position(run.motion, run.cut) - u[Global.DATUM]) + u[Global.DAMPING] * u[Global.V_DR]
+            for run, u in zip(runs, start.reshape(-1, PER_RUN), strict=True)
+        ]
+        low = max(3, int(np.sum(knots < LOW_SPEED * knots[-1])) + 1)
+        coefficients[:low] = np.linspace(float(np.median(loads)), coefficients[low], low, endpoint=False)
+    return K, coefficients
+
+
 class Model:
     """A task's predictions; a force by velocity acts along the motion itself, others along the `earlier_path`."""
 
@@ -120,7 +171,7 @@ class Model:
         count: Array | None = None,
     ) -> None:
         self.task, self.windows, self.longest_step, self.earlier_path = task, windows, longest_step, earlier_path
-        self.root_count = None if count is None else np.sqrt(count)
+        self._size = None if count is None else np.sqrt(count)
         fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
         self._tables = [force.departure.drag_table(fastest) for force in task.forces]
         self._last: tuple[Array, Array, Array | None] | None = None
@@ -159,39 +210,38 @@ class Model:
         return None
 
     def residual(self, q: Array, local: Array) -> Array | None:
-        if self._last is None or not (np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1])):
-            predicted = self._positions(q, local)
-            self._last = q.copy(), local.copy(), None if predicted is None else predicted - self.windows.position
-        return self._last[2]
-
-    def _positions(self, q: Array, local: Array) -> Array | None:
+        if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):
+            return self._last[2]
         u, theta, sizes = self.task.split(q)
-        curve = self._curve(q, theta)
-        if curve is None:
-            return None
-        acting, reading = self._acting(sizes)
-        predicted = positions(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
-        return None if predicted is None else predicted + reading
+        curve, residual = self._curve(q, theta), None
+        if curve is not None:
+            acting, reading = self._acting(sizes)
+            residual = positions(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
+            residual = None if residual is None else residual + reading - self.windows.position
+        self._last = q.copy(), local.copy(), residual
+        return residual
 
     def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Derivatives | None] | None:
         """As `fitting.least_squares.normal_equations.Evaluate`; rows are weighted by the root of their count."""
-        return self.evaluate_by(self.all_derivatives if derivatives else None, q, local)
+        return self._evaluate_by(self.all_derivatives if derivatives else None, q, local)
 
-    def evaluate_by(
+    def _evaluate_by(
         self, derive: Callable[[Array, Array], Derivatives] | None, q: Array, local: Array
     ) -> tuple[Array, Derivatives | None] | None:
         residual = self.residual(q, local)
         if residual is None:
             return None
         derivatives = None if derive is None else derive(q, local)
-        return residual if self.root_count is None else residual * self.root_count, derivatives
+        return residual if self._size is None else residual * self._size, derivatives
 
     def evaluate_cycles(self, q: Array, cycles: Integers) -> Evaluate:
         """Return an evaluation of the own unknowns of these cycles alone, with q fixed."""
-        part = type(self)(self.task, self.windows.of_cycles(cycles), self.longest_step)
-        if self.root_count is not None:
-            part.root_count = np.concatenate([self.root_count[self.windows.rows[k]] for k in cycles])
-        return lambda _, local, derivatives: part.evaluate_by(part.own_derivatives if derivatives else None, q, local)
+        model = Model(self.task, self.windows.of_cycles(cycles), self.longest_step)
+        if self._size is not None:
+            model._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
+
+        derive = partial(model.derivatives, columns=local_tangents)
+        return lambda _, local, derivatives: model._evaluate_by(derive if derivatives else None, q, local)
 
     def path_in(self, block: Block, q: Array, local: Array) -> Path | None:
         if self.along or block.rows == slice(0, self.windows.time.size):
@@ -201,10 +251,6 @@ class Model:
 
     def all_derivatives(self, q: Array, local: Array) -> Derivatives:
         return self.derivatives(q, local, partial(self._columns, q=q))
-
-    def own_derivatives(self, q: Array, local: Array) -> Derivatives:
-        """Return the derivatives by the cycles' own unknowns alone."""
-        return self.derivatives(q, local, local_tangents)
 
     def derivatives(self, q: Array, local: Array, columns: Callable[[Path], Array]) -> Derivatives:
         """Return the derivatives of the positions, ``columns`` (n, k) of the path of each block."""
@@ -216,12 +262,18 @@ class Model:
     def _derive_block(self, q: Array, local: Array, columns: Callable[[Path], Array], block: Block) -> Array | None:
         path = self.path_in(block, q, local)
         jacobian = None if path is None else columns(path)
-        return jacobian if jacobian is None or self.root_count is None else jacobian * self.root_count[block.rows, None]
+        return jacobian if jacobian is None or self._size is None else jacobian * self._size[block.rows, None]
 
     def _columns(self, path: Path, q: Array) -> Array:
         _, theta, sizes = self.task.split(q)
         parts = [self.task.curve.columns(path, theta, self.task.places)]
-        parts += [forcing.respond(path) for forcing in self._forcings(path, sizes)]
+        for forcing in self._forcings(path, sizes):
+            width = next(column.shape[1] for column in forcing if column is not None)
+            if forcing.acceleration is None and forcing.belt_speed is None and forcing.reading is not None:
+                parts.append(forcing.reading)
+                continue
+            acts = np.zeros((path.time.size, width)) if forcing.acceleration is None else forcing.acceleration
+            parts.append(tangents(path, acts, belt_speed=forcing.belt_speed, position=forcing.reading))
         return np.asarray(np.hstack([*parts, local_tangents(path)]))
 
     def _curve(self, q: Array, theta: Array) -> Curve | None:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,14 @@ from fitting.model.windows import ShootingWindows, Thinning
 from fitting.record.cycles import Cycle, CycleSegmentation
 from fitting.record.motion import REST_SD, MeasuredMotion
 from fitting.record.ripple import Ripple
-from rig_sim.friction.curve import HYPERBOLIC, LINEAR
+from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 from rig_sim.friction.law import Law as Kind
 from stickslip.compute.arrays import Array
 from stickslip.units import Measured
 
 LOOSE_REST = 0.05  # error of a rest position over the travel, above which the rest position is also fitted
 STEEPEST_LINE = 0.8  # largest fall of a linear curve over its level, up to the fastest slip, in a start
+LEAST_SHAPE = 1e-3  # smallest shape times the fastest slip: nearly constant
 BREAK_AWAY_MARGIN = 0.1  # distance over the travel by which the level at rest may exceed the observed break-aways
 OVERTAKING_LEVEL = 0.9  # level over the load at landing: the friction level where the mass overtakes the belt
 LEAST_LEVEL = 0.2  # smallest value of that level, over Fs
@@ -112,6 +113,8 @@ def regress_start(
         drag_in_slip = drag(motion.belt_speed - samples.s)[:, np.newaxis]
         drag_in_stick = drag(np.array([motion.belt_speed]))
     v_dr, d, rest = motion.belt_speed, 0.0, datum.value
+    if free_rest and curve == LINEAR:
+        rest = _rest_by_scatter(motion, cut, rest)
     x_slip = break_away_position(motion, cut) + BREAK_AWAY_MARGIN * motion.travel
     friction = _Slips(samples, drag_in_slip, drag_in_stick, x_slip)
     K, F, shape, rest, size = _fit_slip_curve(friction, curve, rest, d, v_dr, free_rest)
@@ -139,6 +142,20 @@ def cycle_starts(
             level = max(OVERTAKING_LEVEL * load / math.exp(u_of_run[Global.LOG_F]), LEAST_LEVEL)
             local[k, PerCycle.NEXT_LEVEL] = math.log(level)
     return local
+
+
+def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:
+    """Return (F, shape) of a curve equal to another at a quarter and three quarters of ``fastest``, m/s."""
+    s = np.array([0.25, 0.75]) * fastest
+    slow, fast = magnitude(other, s, F, shape * F, shape)
+    if curve == CONSTANT or not slow > fast > 0:
+        return max(0.5 * float(slow + fast), 1e-3 * F), LEAST_SHAPE / fastest
+    if curve == LINEAR:
+        slope = (slow - fast) / (s[1] - s[0])
+        level = slow + slope * s[0]
+        return float(level), float(min(slope / level, STEEPEST_LINE / fastest))
+    gamma = (slow - fast) / max(fast * s[1] - slow * s[0], 1e-2 * slow * s[0])
+    return float(slow * (1 + gamma * s[0])), float(gamma)
 
 
 def with_static(curve: int, p: Values, static: float) -> Values:
@@ -210,6 +227,27 @@ def _fit_slip_curve(
     return float(K), float(F), float(shape), datum + shift, float(sum(size))
 
 
+def _rest_by_scatter(motion: MeasuredMotion, cut: CycleSegmentation, otherwise: float) -> float:
+    """Return the spring's rest position from the scatter of the levels, m.
+
+    Cycle by cycle a = -K x + p - q s with p = level F + K b and q = level G: p against q is a line that meets q = 0 at
+    K b. Needs three cycles whose levels differ; otherwise returns ``otherwise``.
+    """
+    rows = []
+    for cycle in cut.used:
+        slips = slip_samples(motion, replace(cut, cycles=(cycle,)))
+        if slips.x.size > 20:
+            (K, p, q), _ = _solve(np.c_[-slips.x, np.ones_like(slips.x), -slips.s], slips.a)
+            if K > 0 and q > 0:
+                rows.append((K, p, q))
+    if len(rows) < 3:
+        return otherwise
+    K, p, q = np.array(rows).T
+    # both have errors: the slope is the ratio of their spreads
+    rest = float((np.mean(p) - np.std(p) / max(float(np.std(q)), 1e-300) * np.mean(q)) / np.mean(K))
+    return rest if abs(rest - otherwise) < 2 * motion.travel else otherwise
+
+
 def _solve(matrix: Array, target: Array) -> tuple[Array, float]:
     solution, residual = least_squares(matrix, target)
     return solution, float(np.sum(residual**2))
@@ -274,7 +312,7 @@ class EstimationProblem:
     precision: Array
 
     @classmethod
-    def build(cls, law: Law, runs: Sequence[Run]) -> Self:
+    def build(cls, law: Law, runs: Sequence[Run]) -> "EstimationProblem":
         """Regress the start and turn the calibrations into priors.
 
         Several runs start from the median regression of the contact.
@@ -298,8 +336,8 @@ class EstimationProblem:
             # Constant friction constrains only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             calibrations = {
-                Global.DATUM: (datum.value, _precision(datum_sd, HELD_SD * motion.travel)),
-                Global.DAMPING: (damping.value, _precision(damping.sd, HELD_SD * omega)),
+                Global.DATUM: (datum.value, _precision(datum_sd, 1e-6 * motion.travel)),
+                Global.DAMPING: (damping.value, _precision(damping.sd, 1e-6 * omega)),
             }
             begin = regression._replace(shape=min(first_shape, steepest), damping=damping.value)
             if belt is not None and belt.sd > 0:
@@ -336,7 +374,7 @@ class EstimationProblem:
             precision=precision.ravel(),
         ).with_user_values()
 
-    def with_user_values(self) -> Self:
+    def with_user_values(self) -> "EstimationProblem":
         """Return the problem with the user's values of its law's shared unknowns."""
         if not any(run.user_values.get(self.law.name) for run in self.runs):
             return self
@@ -379,6 +417,24 @@ class EstimationProblem:
         for u_of_run, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
             u_of_run[: Global.DATUM + 1] = unknowns.to_array(p)[: Global.DATUM + 1]
         return np.clip(start, self.lower, self.upper), size
+
+    def start_near(self, other: Law, u: Array) -> Array:
+        """Return the unknowns (13 runs,) of this law that are nearest to the fit u of another law.
+
+        A new ramp is very narrow; another curve has the same friction at two slip speeds.
+        """
+        start, kind, other_kind = u.copy(), self.law.kind, other.kind
+        if kind.ramp and not other_kind.ramp:
+            start[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in self.motions)
+            start[Global.STATIC :: PER_RUN] = 1.0
+        elif other_kind.ramp and not kind.ramp:
+            start[Global.D :: PER_RUN], start[Global.STATIC :: PER_RUN] = self.start[Global.D :: PER_RUN], 1.0
+        if kind.curve_code != other_kind.curve_code:
+            fastest = max(float(np.max(motion.belt_speed - motion.velocity)) for motion in self.motions)
+            p = unknowns.values(u[:PER_RUN])
+            F, shape = matched_curve(kind.curve_code, other_kind.curve_code, p.F, p.shape, fastest)
+            start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
+        return np.where(self.fixed, self.start, start)
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
         """Return the windows of all runs, of every sample or thinned (`thinned_to`)."""

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fitting import noise_levels
-from fitting.record.motion import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, VARIATION_SHOWN, MeasuredMotion
+from fitting.record.motion import REST_SPEED, SHORTEST_PHASE, SLIP_SPEED, MeasuredMotion
 from stickslip.compute.arrays import Array, Mask, runs
 
 # Times below are in slips (`MeasuredMotion.slip_s`).
@@ -34,6 +34,7 @@ LONGEST_TURN = 1.0  # time at rest, above which the belt stands; a sliding mass 
 ROUNDING = 1e-3  # rounding of times over the usual interval: 1e-6 after a week at 10 kHz
 FEWEST_AT_REST = 8  # samples needed to fit a line that detects rest
 WIDEST_SLACK = 0.25  # error of that line's slope, over the belt's speed, above which rest cannot be detected
+SCATTER_AT_REST = 2.0  # scatter about that line over the noise, above which the mass moves
 SUSTAINED_SHARE = 0.15  # share of the record in sticks, below which the mass only grazes the belt
 SLIP_DECELERATION = 4.0  # over `STILL_ACCELERATION`, above which a drag is a slip: dragged on a ramp 3, in a slip 5
 MOST_CYCLES = 200  # cycles fitted; with as many the errors of calibrations are usually larger than those of the fit
@@ -181,7 +182,7 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
     slope = float(np.sum(t * (x - x.mean()))) / spread
     slack = max(REST_SPEED * motion.belt_speed, noise_levels.SHOWN * motion.resolution / math.sqrt(spread))
     flat = abs(slope) < slack < WIDEST_SLACK * motion.belt_speed
-    return flat and float(np.std(x)) < VARIATION_SHOWN * motion.resolution
+    return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
 
 
 def _find_calm(motion: MeasuredMotion, onset: int, threshold: float) -> int:

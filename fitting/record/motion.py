@@ -34,7 +34,7 @@ from stickslip.units import Measured
 # which allows any fall of friction, the width of a ramp that a record determines to a tenth is unconstrained.
 REST_SD = 0.5
 LEAST_VARIATION = 2e-3  # residual variation, over the belt's speed, that gives a warning
-VARIATION_SHOWN = 2.0  # scatter about a line over the noise alone, below which there is no other
+VARIATION_SHOWN = 2.0  # residual variation over that from counting alone, below which there is none
 
 
 @dataclass(frozen=True)

@@ -193,8 +193,11 @@ def smallest_departure(adequacy: Adequacy) -> str:
 
 
 def _strongest(correlations: Correlations) -> list[str]:
-    strong = correlations.strongest(STRONG)[:MOST_NAMED]
-    return [f"{second} and {first} ({_signed(value)})" for first, second, value in strong]
+    """Return the strong correlations in words, in descending order."""
+    matrix, names = correlations.matrix, correlations.names
+    pairs = sorted(((i, j) for i in range(len(names)) for j in range(i)), key=lambda pair: -abs(matrix[pair]))
+    strong = [pair for pair in pairs if abs(matrix[pair]) >= STRONG][:MOST_NAMED]
+    return [f"{names[i]} and {names[j]} ({_signed(matrix[i, j])})" for i, j in strong]
 
 
 def _signed(value: float) -> str:

@@ -32,6 +32,7 @@ ABOVE = 1 + 1e-6  # of the belt's speed, which difference quotients reach to wit
 GAP = 0.01  # between runs that are drawn one after another, of the time of all
 BROAD, PALE, PALE_RUN = 3.0, 0.45, 0.65  # width and opacity of a measured line; opacity for several runs
 BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
+SPREAD = 99.5  # percentile of residuals within the axes
 BINS = (4, 30)  # fewest and most of the distribution, whose number is the square root of that of the break-aways
 Part = Array  # (3, n) time (s), position (mm), velocity (m/s)
 
@@ -116,6 +117,12 @@ def _measured_lines(ranking: Ranking) -> list[dict[str, Any]]:
     return [run | broad | {"ls": run_dash(number)} for number, run in runs]
 
 
+def typical_cycle(row: LawResult) -> Cycle:
+    """Return the cycle with a law's median error."""
+    order = np.argsort(row.fit.cycle_rms, kind="stable")
+    return row.fit.cycles[int(order[order.size // 2])]
+
+
 def extent(cycle: Cycle) -> slice:
     parts = [part for part in (cycle.stick, cycle.slip) if part[1] > part[0]]
     return slice(min(first for first, _ in parts), max(end for _, end in parts))
@@ -182,7 +189,7 @@ def cycle(ranking: Ranking) -> tuple[Figure, str]:
     """Draw the measured position and the smoothed velocity of a typical cycle of each run."""
     measured, fitted = [], []
     for side in ranking.sides:
-        typical = side.best.fit.cycles[side.best.fit.typical]
+        typical = typical_cycle(side.best)
         shift = np.array([[side.motion.begin + typical.break_away], [0.0], [0.0]])
         part = measured_motion(side, typical)
         part[1] = MM * side.motion.sign * side.motion.measured[extent(typical)]
@@ -228,7 +235,7 @@ def portraits(ranking: Ranking) -> tuple[Figure, str]:
     drawn, cells = drawing.panels(drawing.WIDE, 0.5 + 1.4 * lines, lines, columns, gap=0.1, sharex=True, sharey=True)
     drawn.subplots_adjust(top=1 - 2 * drawing.ROW / drawn.get_figheight(), hspace=0.45)
     styles = _styles(ranking)
-    typical = [side.best.fit.cycles[side.best.fit.typical] for side in ranking.sides]
+    typical = [typical_cycle(side.best) for side in ranking.sides]
     for axes, row in zip(cells.flat, rows, strict=False):
         for side, one, style in zip(ranking.sides, typical, _measured_lines(ranking), strict=True):
             measured = measured_motion(side, one)
@@ -280,7 +287,7 @@ def residuals(ranking: Ranking) -> tuple[Figure, str]:
             dots = style | {"marker": ".", "mec": "none", "ms": 2}
             axes.plot(time, 1e6 * one.fit.residual, ls="", rasterized=True, **dots)
         axes.axhspan(-noise, noise, color=INK, alpha=0.16, lw=0, label="noise, ±2 sd")
-        reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), drawing.USUAL)), noise)
+        reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
         kind = ("all runs" if ranking.runs else "whole record") if whole else "all cycles"
         axes.set(ylim=(-reach, reach), title=f"{row.name}, {kind}")
         axes.set_xlabel(time_label(ranking) if whole else drawing.SINCE_BREAK_AWAY)

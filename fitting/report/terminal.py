@@ -114,8 +114,10 @@ def fit_report(ranking: Ranking) -> str:
     correlations = ranking.correlations()
     if correlations is not None:
         lines.append(f"[[Correlations]] (unreported correlations are < {LEAST_CORRELATION:.3f})")
-        pairs = correlations.strongest(LEAST_CORRELATION)
-        lines += [f"    C({first}, {second}) = {value:+.4f}" for first, second, value in pairs]
+        names, matrix = correlations.names, correlations.matrix
+        pairs = [(i, j) for j in range(len(names)) for i in range(j) if abs(matrix[i, j]) >= LEAST_CORRELATION]
+        for i, j in sorted(pairs, key=lambda pair: -abs(matrix[pair])):
+            lines.append(f"    C({names[i]}, {names[j]}) = {matrix[i, j]:+.4f}")
     return "\n".join(lines)
 
 

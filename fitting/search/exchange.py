@@ -19,7 +19,7 @@ from fitting import noise_levels
 from fitting.laws import SIX, Law
 from fitting.model.curves import LawCurve
 from fitting.model.predict import FitStart, Task, law_task
-from fitting.model.problem import FIRST_RAMP, Run
+from fitting.model.problem import Run
 from fitting.model.unknowns import PER_RUN, Global
 from fitting.search.fit import Fit, PassNoise
 from fitting.search.passes import (
@@ -32,6 +32,7 @@ from fitting.search.passes import (
     first_pass_from_regression,
     fit_break_away_level,
     refit_with_overtaking,
+    restart_windows,
     settle,
 )
 from stickslip.compute.arrays import Array
@@ -43,6 +44,7 @@ logger = logging.getLogger(__name__)
 FAR_BEYOND_BEST = 5.0
 NEAR_BEST = 2.0  # error over the best, or the noise, up to which a start is tried and a fit takes every sample
 LESS_NOISE_ASSUMED = 10.0  # noise over the resolution in a second first pass, made where no task fits to the noise
+NARROW_START = 0.02  # width of a ramp that starts from its jump law's fit, over the width from the regression
 WORSE = 1.0005  # error over a neighbour's, above which a task is fitted again from the neighbour's fit
 
 
@@ -119,8 +121,8 @@ def fit_all(
     for fit in fits:
         if fit is not None:
             logger.debug("settled: law %s, %.4g um", fit.law.name, 1e6 * fit.geometric_mean_rms)
-    wanted = [task.problem.law for task in tasks if is_requested(task)]
-    needed = [is_requested(task) or any(law.contains(task.problem.law) for law in wanted) for task in tasks]
+    requested = [task for task in tasks if is_requested(task)]
+    needed = [is_requested(task) or any(other.curve.contains(task.curve) for other in requested) for task in tasks]
     fits, needed_tasks = list(compress(fits, needed)), list(compress(tasks, needed))
     finished = improve_near_best(fits, finish, NEAR_BEST, map_tasks)
     finished = exchange_starts(needed_tasks, finished, map_tasks, old_fits=fits)
@@ -140,7 +142,10 @@ def fit_first_passes(tasks: Sequence[Task], map_tasks: Map, progress: Callable[[
 def retry_first_pass(first: tuple[Task, Fit | None]) -> Fit | None:
     """Repeat a first pass with less noise: much noise avoids local minima, less follows the valley of a wrong law."""
     task, fit = first
-    return select_better(fit, first_pass_from_regression(task, assume_noise(task, LESS_NOISE_ASSUMED)))
+    best = select_better(fit, first_pass_from_regression(task, assume_noise(task, LESS_NOISE_ASSUMED)))
+    if best is None or best.solution.outcome == "converged":
+        return best
+    return select_better(best, first_pass(task, restart_windows(best)))
 
 
 def improve_near_best(
@@ -191,8 +196,8 @@ def exchange_starts(
 def list_better_neighbours(task: Task, fit: Fit | None, fits: Sequence[Fit], limit: float) -> list[Fit]:
     """Return the best nested law, the ramp of this law and, for errors below ``limit``, the best fits of all."""
     ranked = sorted((other for other in fits if fits_worse(fit, other)), key=lambda other: other.geometric_mean_rms)
-    best = [other for other in ranked if task.problem.law.contains(other.law)][:1]
-    best += [other for other in ranked if other.law.is_ramp_of(task.problem.law)]  # a ramp of no width is the jump
+    best = [other for other in ranked if task.curve.contains(other.task.curve)][:1]
+    best += [other for other in ranked if other.task.curve.is_ramp_of(task.curve)]  # a ramp of no width is the jump
     if fit is None or not (fit.finished or fit.geometric_mean_rms > limit):
         best += [other for other in ranked if other.task.curve.ramp == task.curve.ramp][:1]
         best += ranked[:1]
@@ -205,7 +210,7 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
     for neighbour in neighbours:
         if fits_worse(fit, neighbour):
             task = task if fit is None else fit.task
-            start = warm_start(task, neighbour)
+            start = warm_start(task, neighbour, NARROW_START)
             if neighbour.finished:
                 end = finish_from(task, start, neighbour.noise)
             else:
@@ -215,16 +220,16 @@ def start_at_neighbours(restart: tuple[Task, Fit | None, Sequence[Fit]]) -> Fit 
     return fit
 
 
-def warm_start(task: Task, donor: Fit) -> FitStart:
-    """Return a start from another task's fit: a new ramp is narrow, another curve of the six that of the regression."""
-    u, regressed, curve, donor_curve = donor.u, task.problem.start, task.curve, donor.task.curve
-    if curve.ramp != donor_curve.ramp:
-        narrow = FIRST_RAMP * min(motion.belt_speed for motion in task.problem.motions)
-        u[Global.D :: PER_RUN] = narrow if curve.ramp else regressed[Global.D :: PER_RUN]
-        u[Global.STATIC :: PER_RUN] = 1.0
-    if isinstance(curve, LawCurve) and isinstance(donor_curve, LawCurve) and curve.code != donor_curve.code:
-        for slot in (Global.LOG_F, Global.SHAPE):
-            u[slot::PER_RUN] = regressed[slot::PER_RUN]
+def warm_start(task: Task, donor: Fit, narrowing: float = 1.0) -> FitStart:
+    """Return a start from another task's fit; a new ramp starts with ``narrowing`` times its regressed width."""
+    u = donor.u
+    curve, donor_curve = task.curve, donor.task.curve
+    if isinstance(curve, LawCurve) and isinstance(donor_curve, LawCurve):
+        u = task.problem.start_near(donor_curve.law, u)
+        if curve.ramp and not donor_curve.ramp:
+            u[Global.D :: PER_RUN] *= narrowing
+    elif curve.ramp and not donor_curve.ramp:
+        u[Global.D :: PER_RUN] = narrowing * task.problem.start[Global.D :: PER_RUN]
     u = np.clip(u, task.problem.lower, task.problem.upper)
     return FitStart(np.concatenate([u[list(task.places)], curve.start, np.zeros(task.widths[2])]), donor.local)
 
@@ -233,18 +238,18 @@ def mark_overtaking(fits: Sequence[Fit | None], map_tasks: Map) -> list[Fit | No
     """Apply the overtaking found with one curve to its jump and ramp: a ramp may fit it with a very low level."""
     limits = [0.0 if fit is None else FAR_BEYOND_BEST * fit.task.resolution for fit in fits]
     overtaking_by_curve = [
-        (fit.law, find_overtaking(fit))
+        (fit.task.curve, find_overtaking(fit))
         for fit, limit in zip(fits, limits, strict=True)
         if fit is not None and fit.geometric_mean_rms < limit
     ]
     marked_fits: dict[int, Fit] = {}
     for k, fit in enumerate(fits):
         if fit is not None:
-            law = fit.law
+            curve = fit.task.curve
             of_same_curve = [
                 cycles
                 for other, cycles in overtaking_by_curve
-                if other == law or other.is_ramp_of(law) or law.is_ramp_of(other)
+                if other is curve or other.is_ramp_of(curve) or curve.is_ramp_of(other)
             ]
             if np.any(of_same_curve):
                 marked_fits[k] = refit_with_overtaking(fit, np.any(of_same_curve, axis=0)) or fit

@@ -16,7 +16,7 @@ from fitting.model.path import Curve, FrictionSpline, Path, positions
 from fitting.model.predict import FitStart, Model, Task
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import NUISANCE, PER_RUN, Global, PerCycle
-from fitting.model.windows import ShootingWindows, Wear, fit_wear
+from fitting.model.windows import ShootingWindows, Wear, fit_wear, level_trend
 from fitting.record.cycles import Cycle
 from stickslip.compute.arrays import Array, Mask, autocorrelation_time
 from stickslip.units import Measured
@@ -60,7 +60,10 @@ class PassNoise:
         """Let levels fade within a cycle as they do between cycles."""
         sd = []
         for run, motion in enumerate(task.problem.motions):
-            trend = fit_wear(windows, self.inliers, local, run)
+            table = windows.table
+            slips_of_run = (table[:, 1] == 0) & (table[:, 5] == run) & self.inliers[table[:, 0]]
+            levels = np.exp(local[table[slips_of_run, 0], PerCycle.LEVEL])
+            trend = level_trend(windows.level_epoch[slips_of_run], levels)
             lost = DEFAULT_FADE_SD / motion.slip_s if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
             sd.append(max(lost, LEAST_FADE_SD / motion.slip_s))
         return replace(self, fade_sd=np.array(sd))
@@ -286,14 +289,10 @@ class Fit:
         return self.model.motion_in(windows, self.q, self.local, self.run)
 
     @property
-    def typical(self) -> int:
-        """The cycle of median error."""
-        return int(np.argsort(self.cycle_rms, kind="stable")[self.cycle_rms.size // 2])
-
-    @property
     def loop(self) -> Array | None:
-        """Slip speed and friction (2, n) of the typical cycle, of a law with memory."""
-        return self.model.loop(self.windows, self.q, self.local, self.run, self.typical)
+        """Slip speed and friction (2, n) of the cycle of median error, of a law with memory."""
+        cycle = int(np.argsort(self.cycle_rms, kind="stable")[self.cycle_rms.size // 2])
+        return self.model.loop(self.windows, self.q, self.local, self.run, cycle)
 
     def level_trend(self, run: int = 0) -> Wear | None:
         return fit_wear(self.windows, self.inlier_cycles, self.local, run)

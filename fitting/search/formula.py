@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fitting.laws import DRAWS, Law, hold_confounded, natural_size
+from fitting.laws import UNIT_DRAWS, Law, hold_confounded, natural_size
 from fitting.model.curves import FrictionCurve
 from fitting.model.path import Curve, FrictionSpline, Path, spline_curve
 from fitting.model.tangents import friction_effect, shared_tangents, tangents
@@ -114,7 +114,7 @@ class StartSearch:
     def _varies_with(self, group: tuple[str, ...]) -> bool:
         """Return whether derivatives by a group depend on it at random values; equal values can hide an effect."""
         rng = np.random.default_rng(SEED)
-        for _ in range(DRAWS):
+        for _ in range(UNIT_DRAWS):
             base = self.fixed | {
                 name: self._move_inside(name, value * rng.uniform(0.5, 2.0)) for name, value in self.begin.items()
             }

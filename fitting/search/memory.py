@@ -25,7 +25,7 @@ from rig_sim.friction.memory import BRISTLE, MEMORY_LAWS
 from stickslip.compute.arrays import Array
 from stickslip.compute.compile import compiled
 
-SEARCHED_CYCLES = 8  # of each run, which choose among starts or screen it: as many as parameters and more
+SEARCHED_CYCLES = 8  # of each run, one after another, which choose among the starts: as many parameters and more
 # Of the starts, over the travel: presliding of bristles, and D of rate and state.
 PRESLIDING, LENGTHS = (1e-3, 1e-2, 1e-4), (2e-2, 2e-3, 2e-4)
 TRIED = (1.0, 0.1, 0.01, 0.001)  # values of a rate's parameters over their sizes by unit: lengths from the travel down
@@ -43,8 +43,8 @@ def fit_memory(law: Law, runs: Sequence[Run], nearest: Fit, noise: Array | None 
     if any(run.motion.compliance is not None for run in runs):
         return "laws with memory are not modelled on a belt that slows under load"
     steady = [replace(run, ripple=None) for run in runs]
-    problem = MemoryProblem.build(law, steady)
-    few_cycles = MemoryProblem.build(law, [_with_few_cycles(run) for run in steady])
+    problem = MemoryProblem.of_law(law, steady)
+    few_cycles = MemoryProblem.of_law(law, [_with_few_cycles(run) for run in steady])
     begun = list(starting_values(law, problem, nearest))
     if not begun:
         return "no initial values were found that follow the measured slips; set them with --start"

@@ -62,6 +62,12 @@ def start_from_regression(task: Task) -> FitStart:
     return FitStart(np.concatenate([shared, task.curve.start, np.zeros(task.widths[2])]), local)
 
 
+def restart_windows(fit: Fit) -> FitStart:
+    """Restart all windows at the smoothed motion: the first shared unknowns may have led them to local minima."""
+    problem = fit.task.problem
+    return FitStart(fit.q, cycle_starts(fit.windows, problem.motions, problem.cycles, fit.u))
+
+
 def assume_noise(task: Task, times: float = FIRST_NOISE) -> PassNoise:
     """Return a noise of ``times`` the resolution, with equal weights."""
     resolution = np.array([motion.resolution for motion in task.problem.motions])

@@ -128,4 +128,4 @@ def test_runs_at_two_speeds_give_one_curve(measured, contact):
 def test_what_is_no_function_of_speed_keeps_its_misfit(change, measured, contact):
     result = measured(contact(**change))
     assert result.curve.chi > 1.2
-    assert result.curve.spline_fit.cpu_s < 4  # it used to search on from hopeless starts
+    assert result.curve.cpu_s < 4  # it used to search on from hopeless starts

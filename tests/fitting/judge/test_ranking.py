@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fitting import rank
-from fitting.judge.evidence import fits_as_well, model_confidence_set
+from fitting.judge.evidence import Evidence, fits_as_well, model_confidence_set
 from fitting.laws import SIX
 from processing.smoothing import smooth
 from stickslip.errors import DataError, InputError
@@ -120,7 +120,7 @@ REGULAR = np.full(9, -12.0)  # to the last bit
 
 
 def evidence(laws, *errors):
-    return {SIX[law]: own for law, own in zip(laws, errors, strict=True)}
+    return Evidence(tuple(SIX[law] for law in laws), np.array(errors))
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def nearest(law, seed=3, speed=0.22):
 
 
 def first_start(law, contact):
-    problem = memory.MemoryProblem.build(law, [run_of(contact)])
+    problem = memory.MemoryProblem.of_law(law, [run_of(contact)])
     values, u = next(starting_values(law, problem, nearest(contact)))
     task = memory.memory_task(law, problem, values)
     return task, memory.warm_start(task, u)
@@ -130,7 +130,7 @@ def test_two_formulas_move_as_the_published_law_that_they_are():
     """Theirs is the logarithm that an asinh is beside slip this fast, and its state the age, not its logarithm."""
     values, moved = truth("ageing"), []
     for law in (MEMORY["ageing"], OWN.given(fix={"v0": 1.0})):
-        problem = memory.MemoryProblem.build(law, [run_of("ageing")])
+        problem = memory.MemoryProblem.of_law(law, [run_of("ageing")])
         task = memory.memory_task(law, problem, values)
         start = memory.warm_start(task, problem.start)
         model = task.predict(problem.windows(thinned=True), 1.0)
@@ -143,7 +143,7 @@ def test_two_formulas_move_as_the_published_law_that_they_are():
 
 def test_derivatives_of_two_formulas_are_those_of_the_motion():
     """Of friction that lags behind slip: its state is a speed."""
-    problem = memory.MemoryProblem.build(LAG, [run_of("lugre")])
+    problem = memory.MemoryProblem.of_law(LAG, [run_of("lugre")])
     task = memory.memory_task(LAG, problem, {"Fc": 2.0, "Fs": 4.5, "v_s": 0.1, "tau": 0.01})
     start = memory.warm_start(task, problem.start)
     model = task.predict(problem.windows(thinned=True), 1.0)

@@ -12,8 +12,7 @@ from fitting.judge.library import DEPARTURES
 from fitting.laws import SIX
 from fitting.model.flow import LONGEST_STEP
 from fitting.model.forces import Force
-from fitting.model.path import FrictionSpline
-from fitting.model.predict import Model, curve_knots, free_curve_task, law_task
+from fitting.model.predict import Model, curve_knots, free_curve_task, law_task, regress_curve
 from fitting.model.problem import EstimationProblem
 from fitting.model.unknowns import PER_CYCLE, Global, PerCycle
 from fitting.search.exchange import fit_laws
@@ -126,9 +125,8 @@ def test_derivatives_are_differences_of_the_residuals(runs_of, free, force):
     runs, forces = runs_of(law=5, seed=1, duration=10.0), () if force is None else (Force(force),)
     if free:
         problem, knots = EstimationProblem.build(SIX[5], runs), curve_knots(runs, 0.0)
-        speeds, start = np.linspace(0.0, knots[-1], 20 * knots.size), problem.start
-        friction = np.exp(start[Global.LOG_F]) / (1 + start[Global.SHAPE] * speeds)
-        coefficients = FrictionSpline.over(knots).projection(speeds) @ friction
+        start = problem.start.copy()
+        start[Global.K], coefficients = regress_curve(runs, start, knots, 0.0)
         task = replace(free_curve_task(problem, knots, start, coefficients), forces=forces)
     else:
         task = law_task(SIX[5], runs, forces)
