@@ -1,17 +1,16 @@
 """A run made of arrays: the positions or counts that a program already has in memory, and what is known of the rig."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from daq.runfile import belt_counter
-from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
-from daq.runfile.run_data import FARTHEST, explain_implausible, explain_impossible, positions
+from daq.runfile.run_data import FARTHEST, RunData, explain_implausible, explain_impossible, positions
 from stickslip.compute.arrays import Array, Integers, numbers
 from stickslip.errors import InputError, check_type
 from stickslip.units import Measured, Stated, read_all_stated
@@ -19,6 +18,7 @@ from stickslip.units import Measured, Stated, read_all_stated
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+Made = TypeVar("Made", bound=RunData)
 # Decimals of a position in m.  A coarser power of ten of which all readings are multiples is taken in their place; half
 # as many are 30 um, more than most encoders resolve, and at 18 a belt of 9 m no longer fits into a whole number.
 FINEST_DECIMALS = 9
@@ -29,13 +29,14 @@ ULPS = 4.0
 
 
 def from_arrays(
+    make: Callable[..., Made],
     time: "ArrayLike",
     position: "ArrayLike",
     stated: Mapping[str, Stated | None],
     belt_position: "ArrayLike | None",
     title: str,
-) -> Recording:
-    """Make a run of arrays; see `daq.runfile.recording.Recording.from_arrays`."""
+) -> Made:
+    """Make a run of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
     from daq.runfile import provenance
 
     check_type(title, str, "title", "from_arrays", "text")
@@ -62,7 +63,7 @@ def from_arrays(
         warnings.warn(f"are the positions in m? {moved}; if they are in mm, pass x / 1000", UserWarning, stacklevel=3)
     rig = Rig().stating(quantities)
     started = datetime.now(UTC)
-    run = Recording(
+    run = make(
         title=title or "arrays",
         started=started.isoformat(),
         ended=(started + timedelta(seconds=float(seconds[-1]))).isoformat(),
@@ -101,7 +102,7 @@ def read_counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: st
     return np.asarray(whole, np.int64)
 
 
-def add_belt(run: Recording, belt: Array) -> Recording:
+def add_belt(run: Made, belt: Array) -> Made:
     """Return a run with positions of its belt, (n,) m, as counts of their last decimal: of their own rounding."""
     pitch = find_last_decimal(belt)
     count = np.rint(belt / pitch).astype(np.int64)

@@ -1,15 +1,13 @@
 """What a run is to its user: read from a file, made of arrays, looked at and written."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runfile.rig import Rig
-from daq.runfile.run_data import OF_FILE, Raw, SentAs, Truth, count_lost
+from daq.runfile.run_data import OF_FILE, RunData, count_lost
 from stickslip.output.lengths import shown_length, shown_range
 from stickslip.text import storable
 
@@ -24,12 +22,8 @@ if TYPE_CHECKING:
     from stickslip.units import Stated
 
 
-def _make_empty(dtype: type[np.generic]) -> Callable[[], NDArray[Any]]:
-    return lambda: np.empty(0, dtype)
-
-
 @dataclass(frozen=True)
-class Recording:
+class Recording(RunData):
     """A run: times and positions, the samples as sent, and what is known of the rig.
 
     `daq.load` reads one from a file, `from_arrays` makes one of arrays, `save` writes one.
@@ -83,46 +77,9 @@ class Recording:
         time and position for an import).
     """
 
-    title: str
-    started: str
-    ended: str
-    rate_hz: float
-    rig: Rig
-    time: NDArray[np.float64]
-    position: NDArray[np.float64]
-    count: NDArray[np.int64] | None = None
-    raw: Raw | None = None
-    segment: NDArray[np.uint16] | NDArray[np.uint32] = field(default_factory=_make_empty(np.uint16))
-    config_toml: str = ""
-    clock_sample: NDArray[np.uint32] = field(default_factory=_make_empty(np.uint32))
-    clock_offset: NDArray[np.float64] = field(default_factory=_make_empty(np.float64))
-    clock_ppm: float | None = None
-    clock_ppm_error: float | None = None
-    clock_offset_error: NDArray[np.float64] = field(default_factory=_make_empty(np.float64))
-    event_sample: NDArray[np.uint32] = field(default_factory=_make_empty(np.uint32))
-    event_kind: tuple[str, ...] = ()
-    event_note: tuple[str, ...] = ()
-    belt_velocity: NDArray[np.float64] | None = None
-    belt_count: NDArray[np.int64] | None = None
-    truth: Truth | None = None
-    sent_as: SentAs | None = None
-    operator: str = ""
-    sample_name: str = ""
-    note: str = ""
-    tags: Mapping[str, str] = field(default_factory=dict)
-    provenance: Mapping[str, str | int] = field(default_factory=dict)
-    source: Path = Path()
-    default: str = "data"
-    digest: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.segment.size:
-            object.__setattr__(self, "segment", np.zeros(self.time.size, np.uint16))
-        if not self.event_note:
-            object.__setattr__(self, "event_note", ("",) * self.event_sample.size)
-
-    @staticmethod
+    @classmethod
     def from_arrays(
+        cls,
         time: "ArrayLike",
         position: "ArrayLike",
         *,
@@ -192,7 +149,7 @@ class Recording:
             "damping": damping,
             "metres_per_count": metres_per_count,
         }
-        return from_arrays(time, position, stated, belt_position, title)
+        return from_arrays(cls, time, position, stated, belt_position, title)
 
     def save(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
         """Write the run into a run file (.h5), which `daq.load` and every command read.
@@ -215,18 +172,13 @@ class Recording:
             The file exists and ``force`` is not given, its folder does not exist, or its name has the suffix of
             another format.
         """
-        from daq.runfile.store import write
+        from daq.runfile.write import write
         from stickslip.output import suffix
 
         target = Path(path)
         suffix.check_run(target)
         write(target, self, force=force)
         return target
-
-    @property
-    def unit(self) -> str:
-        """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
-        return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
 
     @property
     def name(self) -> str:

@@ -1,6 +1,9 @@
-"""The parts of a run: its samples as sent, its events, and what its columns may be."""
+"""The data of a run: its columns and what is known of them, and what they may be."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +75,58 @@ class Truth:
     v: NDArray[np.float64]
     F: NDArray[np.float64]
     scene: str = ""
+
+
+def _make_empty(dtype: type[np.generic]) -> Callable[[], NDArray[Any]]:
+    return lambda: np.empty(0, dtype)
+
+
+@dataclass(frozen=True)
+class RunData:
+    """The fields of a `daq.runfile.recording.Recording`, where they are described."""
+
+    title: str
+    started: str
+    ended: str
+    rate_hz: float
+    rig: Rig
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    count: NDArray[np.int64] | None = None
+    raw: Raw | None = None
+    segment: NDArray[np.uint16] | NDArray[np.uint32] = field(default_factory=_make_empty(np.uint16))
+    config_toml: str = ""
+    clock_sample: NDArray[np.uint32] = field(default_factory=_make_empty(np.uint32))
+    clock_offset: NDArray[np.float64] = field(default_factory=_make_empty(np.float64))
+    clock_ppm: float | None = None
+    clock_ppm_error: float | None = None
+    clock_offset_error: NDArray[np.float64] = field(default_factory=_make_empty(np.float64))
+    event_sample: NDArray[np.uint32] = field(default_factory=_make_empty(np.uint32))
+    event_kind: tuple[str, ...] = ()
+    event_note: tuple[str, ...] = ()
+    belt_velocity: NDArray[np.float64] | None = None
+    belt_count: NDArray[np.int64] | None = None
+    truth: Truth | None = None
+    sent_as: SentAs | None = None
+    operator: str = ""
+    sample_name: str = ""
+    note: str = ""
+    tags: Mapping[str, str] = field(default_factory=dict)
+    provenance: Mapping[str, str | int] = field(default_factory=dict)
+    source: Path = Path()
+    default: str = "data"
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.segment.size:
+            object.__setattr__(self, "segment", np.zeros(self.time.size, np.uint16))
+        if not self.event_note:
+            object.__setattr__(self, "event_note", ("",) * self.event_sample.size)
+
+    @property
+    def unit(self) -> str:
+        """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
+        return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
 
 
 def count_lost(sample: NDArray[np.uint32], segment: NDArray[np.unsignedinteger]) -> int:

@@ -1,6 +1,6 @@
 """The tree of a run file: one table (`daq.runfile.tree`) that writes it, reads it and documents it.
 
-`TREE` lists the groups of /entry, in NeXus base classes, and the fields of each with the attribute of `Recording` it
+`TREE` lists the groups of /entry, in NeXus base classes, and the fields of each with the attribute of `RunData` it
 holds.
 
 Types: ``f8`` and the like are numpy's; ``[n]`` is a column over the samples, ``[c]`` over the clock readings, ``[e]``
@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile import nexus, tree
-from daq.runfile.recording import Recording
-from daq.runfile.run_data import EVENTS, find_disorder
+from daq.runfile.run_data import EVENTS, RunData, find_disorder
 from daq.runfile.spill import blocks
 from daq.runfile.tree import LENGTH, Field, Group
 from stickslip.text import storable
@@ -30,33 +29,33 @@ from stickslip.version import VERSION
 SCHEMA = 1
 
 
-def _if_counted(of: str) -> Callable[[Recording], Any]:
+def _if_counted(of: str) -> Callable[[RunData], Any]:
     """Return a function that reads an attribute of a run with counts, None of an import."""
     return lambda run: None if run.count is None else attrgetter(of)(run)
 
 
-def _name_sensor(counted: str, imported: str) -> Callable[[Recording], str]:
+def _name_sensor(counted: str, imported: str) -> Callable[[RunData], str]:
     return lambda run: imported if run.count is None else counted
 
 
-def _compute_duration(run: Recording) -> int:
+def _compute_duration(run: RunData) -> int:
     span = datetime.fromisoformat(run.ended) - datetime.fromisoformat(run.started)
     return round(span.total_seconds())
 
 
-def _derive_identity(run: Recording) -> str:
+def _derive_identity(run: RunData) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{run.started} {storable(run.title)} {run.digest}"))
 
 
-def _name_sample(run: Recording) -> str:
+def _name_sample(run: RunData) -> str:
     return run.sample_name or run.rig.name or "mass"
 
 
-def _get_segment(run: Recording) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
+def _get_segment(run: RunData) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
     return None if run.raw is None else run.segment
 
 
-def _name_belt(run: Recording) -> str | None:
+def _name_belt(run: RunData) -> str | None:
     signs = (run.rig.belt_speed, run.rig.belt_metres_per_count, run.belt_velocity)
     return "belt" if any(item is not None for item in signs) else None
 
@@ -175,7 +174,7 @@ NOTES = ("title", "operator/", "sample/name", "sample/description", "notes/", "t
 FIELDS = tree.list_fields(TREE)
 
 
-def compute_digest(run: Recording) -> str:
+def compute_digest(run: RunData) -> str:
     """Return the sha256 of the raw columns, or of time and position when there are none."""
     columns: dict[str, Any] = {"time": run.time, "position": run.position}
     if run.raw is not None:
@@ -189,7 +188,7 @@ def compute_digest(run: Recording) -> str:
     return sha.hexdigest()
 
 
-def write(file: h5py.File, run: Recording, file_name: str) -> None:
+def write(file: h5py.File, run: RunData, file_name: str) -> None:
     """Write the tree of ``run`` into the empty ``file``, without reading a clock."""
     file.attrs["NX_class"] = "NXroot"
     file.attrs["default"] = "entry"
@@ -207,7 +206,7 @@ def write(file: h5py.File, run: Recording, file_name: str) -> None:
     entry["data"].attrs["title"] = storable(run.title)
 
 
-def rewrite_notes(file: h5py.File, run: Recording) -> None:
+def rewrite_notes(file: h5py.File, run: RunData) -> None:
     """Write the notes and events of ``run`` over those in the file of the run; nothing else is changed."""
     entry = file["entry"]
     rows = [row for row in TREE if f"{row.path}/".startswith(NOTES)]
@@ -219,7 +218,7 @@ def rewrite_notes(file: h5py.File, run: Recording) -> None:
     entry["data"].attrs["title"] = storable(run.title)
 
 
-def check(run: Recording) -> None:
+def check(run: RunData) -> None:
     """Raise ValueError when the parts of ``run`` do not belong together."""
     if run.time.size == 0:
         raise ValueError("a run needs at least one sample")

@@ -23,6 +23,7 @@ from daq.runfile.recording import Recording
 from daq.runfile.regular import open_regular
 from daq.runfile.rig import Rig
 from daq.runfile.run_data import Raw, SentAs, Truth, explain_impossible
+from daq.runfile.write import write as write
 from stickslip.compute.arrays import Array
 from stickslip.errors import InputError
 from stickslip.output import atomic, disk
@@ -39,17 +40,6 @@ SAMPLE_STAGE = (  # with which `extend` is rehearsed
     ),
 )
 RECORDING = [row for row in schema.TREE if not row.path.startswith("truth")]
-
-
-def write(path: str | os.PathLike[str], run: Recording, *, force: bool = False) -> None:
-    """Write a run into a new file: build it next to ``path``, sync it to disk, move it into place."""
-    target = Path(path)
-    atomic.refuse_existing(target, force)
-    schema.check(run)
-    run = replace(run, digest=schema.compute_digest(run))
-    with atomic.replacing(target, force) as temporary, disk.open_hdf5(temporary, "w") as file:
-        schema.write(file, run, target.name)
-    trust.trust_own(target)
 
 
 def count_samples(path: str | os.PathLike[str]) -> int:
