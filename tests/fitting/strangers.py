@@ -25,6 +25,11 @@ def ramp(rng):
     return t, counted(rng.uniform(-0.3, 0.3) * t)
 
 
+def ramp_with_noise(rng):
+    t = _times(20)
+    return t, counted(rng.uniform(0.05, 0.3) * t + 1e-4 * rng.standard_normal(t.size))
+
+
 def constant(rng):
     t = _times(20)
     return t, np.full(t.size, rng.uniform(-0.1, 0.1))
@@ -33,6 +38,11 @@ def constant(rng):
 def noise(rng):
     t = _times(20)
     return t, counted(10 ** rng.uniform(-5, -2) * rng.standard_normal(t.size))
+
+
+def random_walk(rng):
+    t = _times(20)
+    return t, counted(10 ** rng.uniform(-5, -3) * np.cumsum(rng.standard_normal(t.size)))
 
 
 def smooth_noise(rng):
@@ -122,6 +132,12 @@ def steps(rng):
     return t, counted(0.1 * (k + np.clip(phase / (0.4 * period), 0, 1)))
 
 
+def two_sines(rng):
+    t = _times(20)
+    f = rng.uniform(0.7, 1.2)
+    return t, counted(0.05 * np.sin(2 * np.pi * f * t) + 0.03 * np.sin(2 * np.pi * 2.3 * f * t + rng.uniform(0, 6)))
+
+
 def shaken(rng):
     """Shake a mass on its spring at random: it swings, now more, now less, and nothing holds it at one speed."""
     t = _times(8)
@@ -144,8 +160,10 @@ ALL = {
     make.__name__: make
     for make in (
         ramp,
+        ramp_with_noise,
         constant,
         noise,
+        random_walk,
         smooth_noise,
         sine,
         decay,
@@ -155,6 +173,7 @@ ALL = {
         square,
         sawtooth,
         steps,
+        two_sines,
         shaken,
     )
 }

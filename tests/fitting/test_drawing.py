@@ -84,3 +84,12 @@ def test_without_a_measured_curve_the_force_balance_is_drawn_beside_the_law(rank
 def test_a_ranking_without_laws_says_that_there_is_no_curve(ranking):
     with pytest.raises(DataError, match="no law fits this record even roughly"):
         replace(ranking, rows=()).plot()
+
+
+def test_a_belt_that_runs_backwards_gives_the_same_picture(ranking):
+    mirrored = replace(ranking, motion=replace(ranking.motion, sign=-1.0))
+    for change in ({}, {"adequacy": replace(ranking.adequacy, curve=None)}):
+        one, other = drawn(replace(ranking, **change).plot()), drawn(replace(mirrored, **change).plot())
+        assert one.keys() == other.keys()
+        for name, points in one.items():
+            np.testing.assert_allclose(other[name], points, rtol=1e-12)

@@ -239,3 +239,13 @@ def test_levels_that_differ_between_runs_alone_determine_no_rest_position(belt_r
             Recording.from_arrays(time, belt_rig.simulate(replace(one, belt=belt, duration=15.0), time) + noise)
         )
     assert "x0 (1)" not in rank(runs, laws=(5, "stribeck")).row("stribeck").parameters
+
+
+@pytest.mark.slow
+def test_runs_of_two_contacts_accuse_no_rest_position_that_each_agrees_with(belt_rig):
+    # Without x0 a Stribeck curve came near both, each with a rest position of its own, and x0 was "contradicted" twice.
+    contacts = [belt_rig.Contact(Fs=1.1, gamma=9.6, belt=0.1), belt_rig.Contact(Fs=1.5, gamma=4.5, belt=0.2, seed=2)]
+    contacts = [replace(contact, c=0.02, scatter=0.03, duration=20.0) for contact in contacts]
+    runs = [belt_rig.by_encoder(contact) for contact in contacts]
+    ranking = rank(runs, laws=(5, "stribeck-viscous"), mass=0.3, x0=(1e-4, 1e-4))
+    assert {finding.code for finding in ranking.findings} == {"not-one-contact"}

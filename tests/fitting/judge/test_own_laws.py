@@ -287,3 +287,8 @@ def test_files_hold_a_formula_whose_names_a_scene_changes_where_its_section_has_
     command.fit(run, laws="5", no_report=True)
     with h5py.File(run) as opened:
         assert "fit_law_mine" not in opened["entry"]
+
+
+def test_a_law_without_free_parameters_is_fitted(hyperbolic):
+    law = fitting.Law("mine", "Fs/(1 + gamma*s)", fix={"Fs": "4.6 m/s^2", "gamma": "9.6e-3 s/mm"})  # a ValueError
+    assert rank(hyperbolic, laws=(5, law)).row("mine").rms_m < 1e-4

@@ -16,6 +16,7 @@ from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 from fitting import cli, rank
 from fitting.judge import screening
+from fitting.search import exchange
 from processing.smoothing import smooth
 from stickslip.console import application
 from stickslip.errors import DataError
@@ -245,3 +246,13 @@ def test_of_an_oscillation_that_dies_away_no_longer_record_is_asked_for(c):
     record = driven(lambda t: 0.0 if t < 1.0 else 0.1, gamma=0.0, c=c, Fs=0.8)
     with pytest.raises(DataError, match=r"a verdict needs 4; the oscillation dies away .* fit them jointly"):
         rank(record)
+
+
+@pytest.mark.parametrize("name", ["smooth_noise", "two_sines", "sine"])
+def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(smoothed_stranger, name, monkeypatch):
+    # Fitting six laws to noise took 20 to 40 CPU s, only to refuse it.
+    monkeypatch.setattr(exchange, "fit_laws", None)
+    with pytest.raises(
+        DataError, match=r"no stick-slip was detected: (no law fits even roughly|a sine without a start-up)"
+    ):
+        rank(smoothed_stranger(name, 12))

@@ -250,3 +250,11 @@ def test_a_motion_without_a_number_beyond_any_rig_or_of_far_too_many_steps_is_no
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1e9
+
+
+def test_tangents_of_the_fade_are_differences(one_window):
+    windows, curve = one_window(), Curve(HYPERBOLIC, False)
+    found = shared_tangents(follow(windows, curve, unknowns(fade=0.02), SLIP), [Global.FADE])[:, 0]
+    expected = slope(lambda h: follow(windows, curve, unknowns(fade=0.02 + h), SLIP).model)
+    assert np.abs(found).max() > 1e-3  # m per 1/s
+    assert found == pytest.approx(expected, abs=1e-3 * np.abs(found).max())

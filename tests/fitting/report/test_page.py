@@ -168,3 +168,10 @@ def test_an_imported_table_is_a_file_of_some_date(ranked):
     text = report.render(replace(ranking, records=(replace(ranking.records[0], recording=imported),)))
     assert "<dd>file of 2" in text
     assert "recorded 2" not in text
+
+
+def test_a_length_is_in_mm_as_positions_are(page, ranked):
+    x0 = report.in_shown_unit(ranked(law=5).best.parameters["x0"])
+    assert x0.unit == "mm"
+    assert f'<td class="n">{x0.value:.{x0.decimals}f}</td>' in page
+    assert '<td class="unit">m</td>' not in page

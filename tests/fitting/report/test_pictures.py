@@ -6,6 +6,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fitting import drawing
+from fitting.palette import RUNS, run_colour, run_dash, run_mark
 from fitting.report import pictures
 
 
@@ -55,3 +56,23 @@ def test_a_typeset_label_is_plain_in_the_table_of_a_figure():
     drawn.subplots().plot([1.0, 2.0], [3.0, np.nan], label=r"$v_\mathrm{dr}$")
     drawn.axes[0].set(xlabel="slip speed $s$ (m/s)", ylabel="a,b")
     assert pictures.as_csv(drawn).splitlines()[1:] == [',v_dr,slip speed s (m/s),"a,b",1,3']
+
+
+def lightness(colour):
+    """Return L* of a colour (CIE 1976), 0 for black and 100 for white."""
+    parts = np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    luminance = float(linear @ [0.2126, 0.7152, 0.0722])
+    return 116 * luminance ** (1 / 3) - 16 if luminance > 0.008856 else 903.3 * luminance
+
+
+def test_runs_of_a_joint_fit_differ_in_greyscale():
+    """They differed in hue alone: the lightnesses of the first, the second and the seventh were 42, 46 and 43."""
+    numbers = range(1, len(RUNS) + 1)
+    for one in numbers:
+        assert lightness(run_colour(one)) < 75, "too pale on white"
+        for other in range(1, one):
+            apart = abs(lightness(run_colour(one)) - lightness(run_colour(other)))
+            drawn_alike = run_dash(one) == run_dash(other)
+            assert drawn_alike == (run_mark(one) == run_mark(other))
+            assert apart > 20 or not drawn_alike, (one, other)

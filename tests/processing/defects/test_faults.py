@@ -182,3 +182,20 @@ def test_counts_that_change_by_one_or_none_a_sample_are_no_lost_frames(imported,
     recording = imported(np.arange(x.size) / 8000, np.floor(x / pitch) * pitch, 8000.0)
     frames = frames_of(recording)
     assert (frames.lost, frames.doubled) == (0, 0)
+
+
+@pytest.mark.parametrize("second", [-1.0, -0.8, 0.9, 1.0])
+@pytest.mark.parametrize("apart", [1, 2, 3])
+def test_two_spikes_side_by_side_are_both_found(seen, apart, second):
+    """Of two opposite spikes two samples apart each lies on the line through the other, and any bend the neighbours.
+
+    A third to a half of such spikes were found.
+    """
+    recording, _ = seen(2e-4)
+    first = np.arange(100, 4_600, 250)
+    index = np.sort(np.concatenate((first, first + apart)))
+    sizes = np.where(np.isin(index, first), 8e-3, 8e-3 * second)
+    found = found_in(spoilt(recording, index, recording.position[index] + sizes)).faults
+    left_out = np.concatenate([np.arange(fault.first, fault.last + 1) for fault in found])
+    assert np.mean(np.isin(index, left_out)) > 0.94
+    assert np.mean(np.isin(left_out, index)) > 0.94

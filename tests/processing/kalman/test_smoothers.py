@@ -188,3 +188,19 @@ def test_counts_put_back_give_the_velocity_of_the_clean_record(motion, recorded)
     off = processing.smooth(lossy, "rts", repair_counts="off")
     assert off.losses == ()
     assert velocity_error(off, true.v)[1] > 10
+
+
+@pytest.mark.parametrize("pitch", [1e-3, 0.3])
+def test_the_least_noise_of_a_reading_does_not_make_the_jerk_larger(pitch):
+    # Where a record of ten samples a slip shows no noise, the least one, of the pitch, multiplied the jerk by 1e10 too:
+    # velocities of 0.4 m/s came out as 200 m/s.
+    density, interval, n = 3.0, 1.0, 4000
+    step = np.array([[1.0, interval, interval**2 / 2], [0.0, 1.0, interval], [0.0, 0.0, 1.0]])
+    spread = density * np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
+    kicks = np.random.default_rng(4).normal(size=(n, 3)) @ np.linalg.cholesky(spread).T
+    state, position = np.zeros(3), np.zeros(n)
+    for i in range(1, n):
+        state = step @ state + kicks[i]
+        position[i] = state[0]
+    found = white_jerk.fit(series.Series(interval * np.arange(n), position, 0.0, pitch, interval, (slice(0, n),)))
+    assert found.jerk == pytest.approx(density, rel=0.1)

@@ -7,6 +7,9 @@ import pytest
 
 import processing
 from daq.runfile.rig import Rig
+from processing.kalman import white_jerk
+from processing.record import series
+from processing.stick_slip import plateaus
 from stickslip.errors import InputError
 from stickslip.units import Measured
 
@@ -211,3 +214,22 @@ def test_a_camera_track_with_dropped_frames_shows_its_sticks(law_5, imported):
     found = processing.smooth(imported(time[kept], x[kept], 400.0))
     assert len(found.sticks) == 11
     assert found.belt_speed == pytest.approx(0.22, abs=1e-3)
+
+
+def test_a_first_sample_far_from_the_others_leaves_a_record_without_motion():
+    # White noise that began with an outlier ended in an IndexError: nothing was as far from the last sample.
+    x = np.r_[1.0, np.full(50, 0.4), 0.6]
+    data = series.Series(x, x, origin=0.0, pitch=0.2, interval=1e-3, pieces=(slice(0, x.size),))
+    assert not plateaus.in_motion(data).any()
+
+
+@pytest.mark.parametrize("samples", range(96, 160, 8))
+def test_a_short_record_is_smoothed_more_no_further_than_it_is_long(samples):
+    """A window of 16 was to be reached by odd ones of 15 at most: ZeroDivisionError, once its jerk was 0."""
+    time = np.arange(samples) / 100
+    position = np.sin(9 * time) + 0.1 * np.random.default_rng(samples).standard_normal(samples)
+    data = series.Series(time, position - position[0], float(position[0]), 0.0, 0.01, (slice(0, samples),))
+    rough = white_jerk.smooth(data, white_jerk.Noise(1e9, 0.01))
+    for window in range(9, 15, 2):
+        motion = replace(rough, window=window)
+        assert plateaus.learn(data, motion)[1]

@@ -11,6 +11,7 @@ from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
 from rig_sim.board.belt_encoder import BeltEncoder
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
+from rig_sim.scenes.model import Scene
 from rig_sim.scenes.scene import scene
 
 from ..boards import DELTA, frames_of
@@ -87,3 +88,35 @@ def test_another_decoder_starts_the_belts_counter_again_too() -> None:
     block = next(frame for frame in frames if isinstance(frame, SampleBlock))
     assert block.belt is not None
     assert 0 <= block.belt[0] <= 60  # one sample of 29 counts after the restart, and its jitter
+
+
+def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return belt travel to a hundred-thousandth of a count, and x, F of the mass, at times ``t``."""
+    motion, belt = ScenePlayer(changed), BeltEncoder(changed)
+    belt.delta *= 1e-5
+    counts, x, F = [], [], []
+    for first, last in zip((0, *cuts), (*cuts, len(t)), strict=True):
+        path = motion.follow(t[first:last], forces=True)
+        counts.append(belt.read(path))
+        x.append(path.nodes.x[path.samples])
+        F.append(path.F)
+    return np.concatenate(counts) * belt.delta, np.concatenate(x), np.concatenate(F)
+
+
+def test_in_stick_mass_and_drooping_belt_move_together_to_a_thousandth_of_a_count() -> None:
+    t = np.arange(0.0, 6.0, 1e-3)
+    drooping = scene("rig", **CHANNEL, **{"droop.fraction": 0.05, "scatter.Fs": 0.1, "joint.kick": 0.004})
+    found = ScenePlayer(drooping)
+    found.events = []
+    found.advance(6.0)
+    travel, x, _ = played(drooping, t, (800, 801, 4000))
+    sticks = [
+        (begin.t, end.t)
+        for begin, end in zip(found.events, found.events[1:], strict=False)
+        if begin.kind == "N>S" and end.kind.startswith("S>")
+    ]
+    assert len(sticks) >= 3
+    for begin, end in sticks:
+        own = (t > begin) & (t < end)
+        assert own.sum() > 300
+        assert np.ptp((travel - x)[own]) < 1e-3 * DELTA

@@ -277,3 +277,14 @@ def test_any_parameters_end_in_a_named_outcome(law, x, t_max, **fields):
     assert found.outcome in {outcome.name for outcome in OUTCOMES.values()}
     assert found.steps <= 300
     assert all(a <= b for a, b in zip(found.t, found.t[1:], strict=False))
+
+
+@pytest.mark.parametrize(
+    ("v", "within"), [(0.5, 1e-7), (math.nextafter(0.5, 1.0), 1e-15), (math.nextafter(0.5, 0.0), 1e-15)]
+)
+def test_law_1_on_its_grazing_circle_and_an_ulp_beside_it_stays_there(v, within):
+    found = list_events(flow_of(1), 1.0, -v, 1000.0)
+    assert found.outcome == "completed"
+    assert found.steps < 1000
+    x, v_end = follow_to(flow_of(1), 1.0, -v, 1000.0)
+    assert math.hypot(x - 1.0, v_end) == pytest.approx(0.5, abs=within)

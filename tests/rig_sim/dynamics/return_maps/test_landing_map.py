@@ -132,3 +132,11 @@ def test_a_search_is_bounded_in_integrator_steps(monkeypatch: pytest.MonkeyPatch
     found = answer(f"lock forced --period 7 --budget 0.01 --method {method}", *coulomb)
     assert (found["outcome"], found["locked"], found["orbit"]) == ("step limit", False, None)
     assert "shorter period" in found["advice"]
+
+
+def test_control_that_meets_the_step_limit_keeps_the_orbits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control, "STEPS_IN_ALL", 450_000)  # 350 000 are taken up to the control
+    monkeypatch.setattr(control, "STEPS_PER_EVENT", 0)
+    found = answer("lock forced --period 2 --budget 0.0001")
+    assert (found["outcome"], found["locked"], found["events_to_lock"]) == ("step limit", False, None)
+    assert len(found["orbits"]) > 1
